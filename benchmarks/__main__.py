@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 
 
 def benchmarks() -> dict[str, Path]:
-    """The files that have a `main`, or `TABLES` to be printed, by name."""
+    """Return the files that have a `main`, or `TABLES` to print, by name."""
     files = sorted(
         path for path in HERE.rglob("*.py") if path.parent != HERE or path.stem in ("figures", "tables")
     )
@@ -26,23 +26,23 @@ def benchmarks() -> dict[str, Path]:
 
 
 def about(path: Path) -> str:
-    """First line of a file's docstring."""
+    """Return the first line of a file's docstring."""
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return docstring.splitlines()[0]
 
 
 def usage(files: dict[str, Path]) -> str:
-    """Every benchmark in its group."""
+    """Return a list of all benchmarks, in their groups."""
     lines = ["usage: python -m benchmarks NAME [OPTIONS]"]
     for group in sorted({path.parent for path in files.values()}):
         lines += ["", about(group / "__init__.py")]
-        own = {name: path for name, path in files.items() if path.parent == group}
-        lines += [f"  {name:18}{about(path)}" for name, path in own.items()]
+        members = {name: path for name, path in files.items() if path.parent == group}
+        lines += [f"  {name:18}{about(path)}" for name, path in members.items()]
     return "\n".join(lines)
 
 
 def print_tables(module: Any) -> None:
-    """One after the other."""
+    """Print the tables of a module, one after the other."""
     no_flags(module.__doc__)
     for name, show in module.TABLES.items():
         print(f"\n### {name}\n")
@@ -59,8 +59,8 @@ def main() -> int | None:
     sys.argv[0] = f"python -m benchmarks {name}"
     module = ".".join(files[name].relative_to(HERE).with_suffix("").parts)
     try:
-        found = import_module(f"benchmarks.{module}")
-        code: int | None = found.main() if hasattr(found, "main") else print_tables(found)
+        benchmark = import_module(f"benchmarks.{module}")
+        code: int | None = benchmark.main() if hasattr(benchmark, "main") else print_tables(benchmark)
     except InputError as error:
         print(f"{sys.argv[0]}: error: {error}", file=sys.stderr)
         code = 2

@@ -30,27 +30,29 @@ Part = tuple[Callable[[], dict[str, Any]], Callable[[dict[str, Any]], None]]
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """Flags of a benchmark with this docstring: --out, and what it adds."""
+    """Return a parser with the flag --out, for a benchmark with this docstring."""
     flags = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     flags.add_argument("--out", type=Path, help="write JSON here")
     return flags
 
 
 def no_flags(description: str | None) -> None:
-    """The command line of a benchmark that writes to the docs alone: --help, and nothing else."""
+    """Read the command line of a benchmark that has no flag but --help."""
     argparse.ArgumentParser(description=(description or "").splitlines()[0]).parse_args()
 
 
 def count(text: str) -> int:
-    """A flag's number of things, 1 to a million."""
+    """Return a flag's whole number, from 1 to a million."""
     if not text.isdecimal() or not 1 <= int(text) <= 1_000_000:
         raise argparse.ArgumentTypeError(f"found {text!r}, allowed 1 to 1000000")
     return int(text)
 
 
 def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -> None:
-    """A benchmark's command line: all parts or one, on one thread; machine, versions of
-    `packages` and results as JSON where asked for. Other parts in the file are kept."""
+    """Run all parts of a benchmark, or the one that is asked for, on one thread.
+
+    Writes results, the machine and versions of `packages` as JSON; other parts in the file stay.
+    """
     flags = parser(description)
     flags.add_argument("--only", choices=parts, help="one part instead of all")
     options = flags.parse_args()
@@ -67,12 +69,12 @@ def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -
 
 
 def processes(n: int, begin: Callable[[], None] | None = None) -> ProcessPoolExecutor:
-    """Fresh processes that share nothing with this one."""
+    """Return a pool of `n` fresh processes, which share nothing with this one."""
     return ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), begin)
 
 
 def on_one_thread() -> None:
-    """For this process: PyTorch's threads, and no warnings between the tables."""
+    """Let PyTorch use one thread in this process, and silence warnings between the tables."""
     import torch  # not for `figures`
 
     torch.set_num_threads(1)
@@ -80,8 +82,10 @@ def on_one_thread() -> None:
 
 
 def python(*arguments: str, launcher: Sequence[str] = (), checkout: Path = ROOT) -> str:
-    """What a fresh Python process with the code of a checkout prints, started by a `launcher` such as
-    mpirun; where it fails, so does this."""
+    """Return what a new Python process prints, with the code of a checkout.
+
+    A `launcher`, such as mpirun, may start it. Exits where it fails.
+    """
     environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
     command = [*launcher, sys.executable, *arguments]
     done = subprocess.run(command, cwd=checkout, env=environment, stdout=subprocess.PIPE, text=True)
@@ -91,12 +95,12 @@ def python(*arguments: str, launcher: Sequence[str] = (), checkout: Path = ROOT)
 
 
 def earlier(path: Path | None) -> dict[str, Any]:
-    """What an earlier run wrote there: parts that are not measured anew are kept."""
+    """Return what an earlier run wrote there, or an empty dict."""
     return json.loads(path.read_text(encoding="utf-8")) if path and path.exists() else {}
 
 
 def data(name: str) -> Any:
-    """A file of docs/data."""
+    """Return the content of a JSON file in docs/data."""
     return json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
 
 
@@ -110,44 +114,44 @@ def write(path: Path | None, result: Any) -> None:
 
 
 def markdown(head: str, rows: Iterable[Iterable[Any]]) -> None:
-    """A table, with its head as it stands in the docs."""
+    """Print a table; its head is given as it stands in the docs."""
     print(head, "|---" * (head.count("|") - 1) + "|", sep="\n")
     for row in rows:
         print(f"| {' | '.join(map(str, row))} |")
 
 
 def interval(value: float, low: float, high: float, form: str = ".2f", to: str = " – ") -> str:
-    """A number with its interval."""
+    """Return a number with its interval, as text."""
     return f"{value:{form}} ({low:{form}}{to}{high:{form}})"
 
 
-def progress(things: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
-    """The same things, and on standard error how many of them are done."""
-    return track(things, what, total=total, console=Console(stderr=True))
+def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
+    """Yield the same items, and show on standard error how many of them are done."""
+    return track(items, what, total=total, console=Console(stderr=True))
 
 
 # -- timing: contenders in turn on one machine -----------------------------------------------
 
 ROUNDS = 7
 Contender = Callable[[], int]
-"""Does its work once and says how many things it did."""
+"""Works once, and returns how many items it did."""
 Clock = Callable[[], float]
 """`time.perf_counter`; for work of one process and thread `time.process_time`, which stands still
 while the machine does something else."""
 
 
 def per_second(run: Contender, clock: Clock = time.perf_counter) -> float:
-    """Things done per second of one call."""
+    """Return the items done per second of one call."""
     started = clock()
     return run() / (clock() - started)
 
 
 def rounds(contenders: dict[str, Contender], clock: Clock = time.perf_counter) -> dict[str, float]:
-    """Median rate of each contender; they take turns, after one round to warm up."""
+    """Return the median rate of each contender; they take turns, after a round to warm up."""
     turns = [[per_second(run, clock) for run in contenders.values()] for _ in range(ROUNDS + 1)]
     return dict(zip(contenders, map(statistics.median, zip(*turns[1:], strict=True)), strict=True))
 
 
 def contest(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, Any]:
-    """Rates, and for pairs of names the first's over the second's."""
+    """Return rates, and for each pair of names the ratio of the first to the second."""
     return {"per_s": rates, "ratios": {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}}

@@ -38,14 +38,14 @@ def _named(name: str) -> scenes.NamedScene:
 
 @cache
 def _made(name: str) -> tuple[GraspConfig, GraspEnv]:
-    """An environment. What its tables say is the same in MuJoCo, which is always there."""
+    """Return a configuration, and its environment in MuJoCo, which is always installed."""
     named = _named(name)
     config = setup(named.env, **named.scene)
     return config, GraspEnv(named.env, dataclasses.replace(config, simulator="mujoco"))
 
 
 def facts(name: str) -> None:
-    """What stands at the head of a page."""
+    """Print the facts at the head of a page."""
     config, env = _made(name)
     ours = hands.usage(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
     spaces = env.observation_space.spaces.items()
@@ -62,7 +62,7 @@ def facts(name: str) -> None:
 
 
 def observation(name: str) -> None:
-    """Every entry; taxels stand together by digit, and so does what was observed before."""
+    """Print every entry of an observation; taxels of a digit share a row."""
     entries = enumerate(map(_entry, _made(name)[1].observation_names()))
     rows = []
     for entry, group in itertools.groupby(entries, lambda each: each[1]):
@@ -81,7 +81,7 @@ def _entry(entry: str) -> str:
 
 
 def action(name: str) -> None:
-    """What the two ends of each action mean."""
+    """Print what the two ends of each action mean."""
     hand = _made(name)[1].hand
     does, names = hand.action_map, enumerate(hand.action_names)
     if isinstance(does, LinearAction):
@@ -98,7 +98,7 @@ def action(name: str) -> None:
 
 
 def arguments(name: str) -> None:
-    """What is otherwise than `GraspConfig`'s defaults."""
+    """Print where a scene differs from `GraspConfig`'s defaults."""
     config, usual = vars(_made(name)[0]), vars(GraspConfig())
     rows = [
         (f"`{key}`", _value(config[key]), _value(usual[key]))
@@ -112,7 +112,7 @@ def arguments(name: str) -> None:
 
 
 def all_arguments() -> None:
-    """Every field of `GraspConfig`, those of a task and an object first."""
+    """Print every field of `GraspConfig`, those of a task and an object first."""
     defaults, rows = vars(GraspConfig()), []
     for field in itertools.chain(
         *(parse_from_object(kind).params for kind in GraspConfig.__mro__[-2::-1])
@@ -123,9 +123,9 @@ def all_arguments() -> None:
 
 
 def gate(name: str) -> None:
-    """Success rates of scripted hands: in a scene, or with a hand in the handover."""
-    found = data("gates")
-    row = found["handover"][f"{name}, mujoco"] if name in hands.HANDS else found["scenes"].get(name)
+    """Print success rates of scripted hands: in a scene, or with a hand in the handover."""
+    gates = data("gates")
+    row = gates["handover"][f"{name}, mujoco"] if name in hands.HANDS else gates["scenes"].get(name)
     if row is None:
         print("Not measured yet.")
         return
@@ -149,18 +149,18 @@ TASKS = {"lift-and-hold": "lift-and-hold", "reach-goal": "reach-a-goal", "handov
 
 
 def names() -> tuple[str, ...]:
-    """What has a page: named scenes first, then hands."""
+    """Return the names of all scenes, then of all hands: each has a page."""
     return (*scenes.names(), *hands.HANDS)
 
 
 def title(name: str) -> str:
-    """As people call it: the Gymnasium id without what all ids share."""
+    """Return a page's title: the Gymnasium id without what all ids share."""
     ours = hands.usage(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
     return ours.removeprefix("tactilerl/").removesuffix("-v0")
 
 
 def page(name: str) -> str:
-    """The whole page of a named scene or a hand, in Markdown."""
+    """Return the page of a named scene or a hand, in Markdown."""
     config, _ = _made(name)
     named, task = _named(name), TASKS[config.task]
     pictures = (name, f"{named.env}_{config.simulator}")

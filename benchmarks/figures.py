@@ -34,7 +34,7 @@ STUDIES = {
 
 
 def speed_against_error() -> None:
-    """Every setting of every hand in every simulator; those on the front filled and named."""
+    """Draw every setting of every hand in every simulator."""
     figure, grid = plt.subplots(2, 2, figsize=(9, 8), layout="constrained")
     labels = []
     for axes, (name, table) in zip(grid.flat, data("speed_vs_error").items(), strict=True):
@@ -56,8 +56,11 @@ def speed_against_error() -> None:
 
 
 def settings(axes: Any, rows: dict[str, dict[str, Any]]) -> tuple[list[Any], np.ndarray]:
-    """A point each; the names beside them, and the points (2, n). Settings with the shipped errors
-    to the last digit are the same physics, and left out; so are those that held nothing."""
+    """Draw a point for each setting; return the names beside them, and the points (2, n).
+
+    Settings with the shipped errors to the last digit are the same physics, and left out; so are
+    those that held nothing.
+    """
     error = "error_median_mm"
     shipped = rows["as shipped"]
     held = {
@@ -78,7 +81,7 @@ def settings(axes: Any, rows: dict[str, dict[str, Any]]) -> tuple[list[Any], np.
 
 
 def study_curves(study: str, pictures: dict[str, str]) -> None:
-    """The learning curves of some set-ups, as the report of their study draws them."""
+    """Draw the learning curves of some set-ups, as the report of their study does."""
     for one in analyse(*study_tables.load(study)).setups:
         if one.setup.name in pictures:
             picture = curves(one, "png")
@@ -86,7 +89,7 @@ def study_curves(study: str, pictures: dict[str, str]) -> None:
 
 
 def unrolled(picture: str, hand: str, names: Sequence[str], rows: int, title: str) -> None:
-    """Some layouts on a hand."""
+    """Draw some layouts on an unrolled hand."""
     columns = len(names) // rows
     size = 7.4 / 3 * columns, 3.2 * rows
     figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained")
@@ -103,13 +106,13 @@ def unrolled(picture: str, hand: str, names: Sequence[str], rows: int, title: st
 
 
 def save(figure: plt.Figure, name: str) -> None:
-    """As PNG on white, which dark pages show as a card."""
+    """Save a figure as PNG on white, which dark pages show as a card."""
     figure.savefig(IMAGES / f"{name}.png", dpi=DPI, metadata={"Software": None})
     plt.close(figure)
 
 
 def main() -> None:
-    """Every figure that is drawn from docs/data, in the style of the studies' reports."""
+    """Draw every figure that comes from docs/data, in the style of the studies' reports."""
     no_flags(__doc__)
     with matplotlib.rc_context(STYLE):
         speed_against_error()

@@ -19,7 +19,7 @@ from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.learners import scaling
 from benchmarks.peers import env, solve, updates
-from benchmarks.physics import hands, hard_cases, hold_verdict, scene_parts, speed_vs_error
+from benchmarks.physics import hands, hard_cases, hold_verdict, speed_vs_error
 from benchmarks.studies import gates, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -44,7 +44,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),
     "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
-    "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     **{
         f"physics {pair}": _settings(pair)
@@ -64,19 +63,19 @@ PRINTED: dict[str, Callable[[], None]] = {
 
 
 def table(name: str) -> str:
-    """As it should stand in the docs."""
+    """Return a table as it should stand in the docs."""
     with redirect_stdout(io.StringIO()) as printed:
         PRINTED[name]()
     return "".join(f"{line}\n" for line in printed.getvalue().splitlines() if line.startswith("|"))
 
 
 def filled(text: str) -> str:
-    """A page with its tables written anew."""
-    return MARKED.sub(lambda found: found[1] + table(found[2]) + found[4], text)
+    """Return a page with its tables written anew."""
+    return MARKED.sub(lambda match: match[1] + table(match[2]) + match[4], text)
 
 
 def main() -> None:
-    """Every page that has one."""
+    """Write the tables of every page anew."""
     no_flags(__doc__)
     for page in sorted(DOCS.rglob("*.md")):
         text = page.read_text(encoding="utf-8")

@@ -28,13 +28,13 @@ class Cart(gym.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: Any = None
     ) -> tuple[np.ndarray, dict]:
-        """Somewhere, at rest."""
+        """Put the point somewhere, at rest."""
         super().reset(seed=seed)
         self.state = np.array([self.np_random.uniform(-1.0, 1.0), 0.0])
         return self.state.astype(np.float32), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """A tenth of a second."""
+        """Move the point for a tenth of a second."""
         position, velocity = self.state
         velocity += 0.1 * float(action[0])
         self.state = np.clip([position + 0.1 * velocity, velocity], -10.0, 10.0)

@@ -1,4 +1,6 @@
-"""A task of your own: hold a paper cup without crushing it. The command line imports it:
+"""A task of your own: hold a paper cup without crushing it.
+
+The command line imports it:
 
 cd examples
 tactilerl gate --import own_task --scene own_task.toml

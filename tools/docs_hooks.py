@@ -58,7 +58,7 @@ LEARNERS = {"tactilerl.api.PPO": PPOConfig, "tactilerl.api.DDPGHER": DDPGHERConf
 
 
 def on_config(config: Any) -> Any:
-    """Called by mkdocs with its configuration."""
+    """Add version, repository and pages of environments to mkdocs' configuration."""
     config.site_name = f"tactilerl {tactilerl.__version__}"
     config.copyright = f"tactilerl {tactilerl.__version__}, MIT licence"
     config.repo_url = config.repo_url or repository()
@@ -74,17 +74,17 @@ def on_config(config: Any) -> Any:
 
 
 def repository() -> str:
-    """Where the checkout was cloned from, as a page; empty where that is none."""
-    asked = ["git", "remote", "get-url", "origin"]
-    told = subprocess.run(asked, capture_output=True, text=True).stdout.strip()
-    address = re.sub(
-        r"^(?:ssh://)?git@([^:/]+)[:/]", r"https://\1/", told
-    ).removesuffix(".git")
+    """Return the web page that the checkout was cloned from, or ""."""
+    command = ["git", "remote", "get-url", "origin"]
+    url = subprocess.run(command, capture_output=True, text=True).stdout.strip()
+    address = re.sub(r"^(?:ssh://)?git@([^:/]+)[:/]", r"https://\1/", url).removesuffix(
+        ".git"
+    )
     return address if address.startswith("https://") and "@" not in address else ""
 
 
 def on_files(files: Any, *, config: Any) -> Any:
-    """Called by mkdocs with the files of the site: adds the README and a page for each environment."""
+    """Add the README and a page for each environment to the files of the site."""
     from mkdocs.structure.files import File  # only where a site is built
 
     pages = {
@@ -97,7 +97,7 @@ def on_files(files: Any, *, config: Any) -> Any:
 
 
 def home() -> str:
-    """The README, with links as the site has them; files outside docs/ are named without a link."""
+    """Return the README with links as the site has them; files outside docs/ have no link."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
     outside = "|".join(
         re.escape(path.name) for path in ROOT.iterdir() if path.is_file()
@@ -106,7 +106,7 @@ def home() -> str:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Called by mkdocs with the text of each page: links to code, which the site has not, are names."""
+    """Return a page without links to code, which the site has not, and with what comes from code."""
     markdown = re.sub(r"\[([^\]]*)\]\((?:\.\./)+[\w/]+\.py\)", r"\1", markdown)
     if page.file.src_uri == "reference/command-line.md":
         calls = [call for name in cli.COMMANDS for call in SEVERAL.get(name, (name,))]
@@ -117,20 +117,20 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def entry(name: str) -> str:
-    """What a name is, and of a learner all its hyperparameters: name, default, docstring."""
-    shown = f"::: {name}\n\n"
+    """Return the entry of a name, with all hyperparameters of a learner."""
+    text = f"::: {name}\n\n"
     if name not in LEARNERS:
-        return shown
-    shown += "Hyperparameters, with the paper's values:\n\n| keyword | default | |\n|---|---|---|\n"
+        return text
+    text += "Hyperparameters, with the paper's values:\n\n| keyword | default | |\n|---|---|---|\n"
     config, defaults = LEARNERS[name], LEARNERS[name]()
     for field in parse_from_object(config).params:
-        text = " ".join((field.description or "").split()).replace("|", "\\|")
-        shown += f"| `{field.arg_name}` | `{getattr(defaults, field.arg_name)!r}` | {text} |\n"
-    return f"{shown}\n"
+        about = " ".join((field.description or "").split()).replace("|", "\\|")
+        text += f"| `{field.arg_name}` | `{getattr(defaults, field.arg_name)!r}` | {about} |\n"
+    return f"{text}\n"
 
 
 def flags(command: str) -> str:
-    """A section with the help of one command."""
+    """Return a section with the help of one command."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
         cli.main([*command.split(), "--help"])
@@ -142,7 +142,7 @@ def flags(command: str) -> str:
 
 
 def python() -> list[str]:
-    """Full names of what is documented: what the package exports, then PYTHON."""
+    """Return full names of what is documented: what the package exports, then PYTHON."""
     exported = [getattr(tactilerl, name) for name in tactilerl.__all__]
     names = [f"{each.__module__}.{each.__qualname__}" for each in exported]
     return list(dict.fromkeys([*names, *PYTHON]))

@@ -33,7 +33,7 @@ def has_torch(index):
 
 
 def cuda_packages(wanted):
-    """What of CUDA pip would install with what is wanted; pip's own message where it finds nothing."""
+    """Return the CUDA packages that pip would install with `wanted`; exit where it finds nothing."""
     plan = subprocess.run(
         [*PIP, "--dry-run", "--report", "-", *wanted], stdout=subprocess.PIPE
     )
@@ -47,7 +47,7 @@ def cuda_packages(wanted):
 
 
 def main():
-    """Returns the exit status."""
+    """Install PyTorch; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--index", required=True, help="package index with the CPU build"

@@ -25,24 +25,24 @@ class RandomGoals(gym.Env[Any, Any]):
         self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        """A random observation."""
+        """Return a random observation."""
         self.steps = 0
         return self.observation_space.sample(), {}
 
     def step(self, action: Any) -> Any:
-        """Another, with its reward."""
+        """Return another observation, with its reward."""
         self.steps += 1
         obs = self.observation_space.sample()
         reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
         return obs, reward, False, self.steps >= STEPS, {}
 
     def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
-        """Sparse."""
+        """Return 0 where the goal is reached, and −1 elsewhere."""
         return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
 
 
 def fed(kind: Any, config: Any, n_obs: int, n_actions: int, cores: int = 1) -> Any:
-    """A learner of this kind that has collected there once."""
+    """Return a learner of this kind that has collected there once."""
     workers = vector.start(partial(RandomGoals, n_obs, n_actions))
     learner = kind(config, workers, Communicator(), 0, 10**6, cores=cores)
     learner.collect()

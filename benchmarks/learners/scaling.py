@@ -47,41 +47,41 @@ EPISODES = 12  # of a turn
 
 
 def bare_steps(_: int) -> float:
-    """`mj_step` per second in this process."""
+    """Return the number of `mj_step` per second in this process."""
     run = mj_step(Steps("shadow", "2"))
     run()
     return per_second(run)
 
 
 def limit() -> dict[str, Any]:
-    """What two processes that share nothing get done, against one: more is not to be had."""
-    found: dict[int, list[float]] = {1: [], 2: []}
+    """Measure two processes that share nothing against one: the limit of this machine."""
+    rates_of: dict[int, list[float]] = {1: [], 2: []}
     with processes(2) as pool:
         list(pool.map(bare_steps, range(2)))  # both are there
         for _ in range(REPEATS):
-            for n, rates in found.items():
+            for n, rates in rates_of.items():
                 rates.append(sum(pool.map(bare_steps, range(n))))
-    one, two = map(median, found.values())
+    one, two = map(median, rates_of.values())
     return {"per_s": {"1 process": one, "2 processes": two}, "ratios": {"2 / 1": two / one}}
 
 
 def on_two_cores(contests: dict[str, list[Contender]]) -> dict[str, Any]:
-    """The same work on one core and on two, in turn."""
+    """Measure the same work on one core and on two, in turn."""
     result: dict[str, Any] = {"per_s": {}, "ratios": {}}
     for name, contenders in contests.items():
-        found = rounds(dict(zip(("1 core", "2 cores"), contenders, strict=True)))
-        result["per_s"] |= {f"{name}, {cores}": rate for cores, rate in found.items()}
-        result["ratios"][f"{name}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
+        rates = rounds(dict(zip(("1 core", "2 cores"), contenders, strict=True)))
+        result["per_s"] |= {f"{name}, {cores}": rate for cores, rate in rates.items()}
+        result["ratios"][f"{name}: 2 cores / 1"] = rates["2 cores"] / rates["1 core"]
     return result
 
 
 def play(workers: vector.Workers, task: PlayEpisode[Any]) -> int:
-    """Steps of some episodes, the same ones however many workers play them."""
+    """Play some episodes, the same with any number of workers; return their number of steps."""
     return sum(map(len, workers.play(task, range(EPISODES))))
 
 
 def collecting() -> dict[str, Any]:
-    """What a second core gives: threads in MuJoCo, processes in PyBullet; resets included."""
+    """Measure what a second core gives when episodes are collected, resets included."""
     contests: dict[str, list[Contender]] = {}
     with ExitStack() as opened:
         for hand, simulator in (("shadow", "MuJoCo"), ("mpl", "PyBullet")):
@@ -95,9 +95,11 @@ def collecting() -> dict[str, Any]:
 
 
 def updates() -> dict[str, Any]:
-    """Actor and critic in turn on one core, and at the same time on two: the same bits. PPO with a
-    batch of the paper's PyBullet set-up, layout 2; DDPG+HER with a replay of the Shadow Hand's sizes,
-    layout 1."""
+    """Measure updates of actor and critic in turn on one core, and at the same time on two.
+
+    PPO has a batch of the paper's PyBullet set-up with layout 2, DDPG+HER a replay of the Shadow
+    Hand's sizes with layout 1.
+    """
     contests: dict[str, list[Contender]] = {"PPO": [], "DDPG+HER": []}
     for cores in (1, 2):
         ppo = fed(PPO, PPOConfig(n_passes=8, steps_per_epoch=1000), 94, 7, cores)
@@ -108,12 +110,12 @@ def updates() -> dict[str, Any]:
 
 
 def n_updates(learner: PPO | DDPGHER) -> int:
-    """Of one `update`."""
+    """Update once; return the number of minibatches."""
     return int(learner.update()["updates"])
 
 
 def rank_speed() -> None:
-    """Some cycles on the Shadow Hand on each rank; rank 0 prints how fast they were."""
+    """Train some cycles on the Shadow Hand on each rank; rank 0 prints how fast they were."""
     torch.set_num_threads(1)
     comm = mpi.world()
     workers = vector.start(lambda: envs.make("shadow", task="reach-goal"))
@@ -141,16 +143,16 @@ def rank_speed() -> None:
 
 
 def ranks() -> dict[str, Any]:
-    """The same work for each of one and two ranks, in turn."""
+    """Measure the same work for each of one and two ranks, in turn."""
     mpirun = str(Path(sys.executable).with_name("mpirun"))
-    found: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
+    results_of: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
     for _ in range(REPEATS):
-        for n, results in found.items():
+        for n, results in results_of.items():
             output = python("-m", "benchmarks.learners.scaling", launcher=(mpirun, "-n", str(n)))
             results.append(json.loads(output.splitlines()[-1]))
     result: dict[str, Any] = {"ratios": {}}
     for key in ("transitions_per_s", "env_steps_per_s"):
-        one, two = (median(r[key] for r in results) for results in found.values())
+        one, two = (median(r[key] for r in results) for results in results_of.values())
         result[key] = {"1 rank": one, "2 ranks": two}
         result["ratios"][f"{key}: 2 ranks / 1 rank"] = two / one
     return result
@@ -165,11 +167,11 @@ WORK = {
     "env_steps_per_s: 2 ranks / 1 rank": "DDPG+HER with two ranks, environment steps",
     "transitions_per_s: 2 ranks / 1 rank": "DDPG+HER with two ranks, transitions learned from",
 }
-"""Of the ratios."""
+"""The words for each ratio."""
 
 
 def show(*parts: dict[str, Any]) -> None:
-    """The ratios of some parts."""
+    """Print the ratios of some parts."""
     ratios = {name: ratio for part in parts for name, ratio in part["ratios"].items()}
     rows = [(words, f"{ratios[name]:.2f}") for name, words in WORK.items() if name in ratios]
     markdown("| work | 2 cores / 1 |", rows)
@@ -184,7 +186,7 @@ PARTS: dict[str, Part] = {
 
 
 def main() -> None:
-    """All parts or one."""
+    """Measure all parts, or one."""
     run_parts(__doc__, PARTS, "mujoco", "pybullet", "torch", "numpy", "mpi4py")
 
 

@@ -1,4 +1,4 @@
-"""How learners of both libraries are trained, looked at, and asked to play."""
+"""Train learners of both libraries, look at them, and let them play."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import stable_baselines3 as sb3
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from tactilerl.algos.ddpg_her import DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import vector
@@ -20,7 +21,7 @@ Act = Callable[[Any], np.ndarray]
 
 
 def learn(kind: Any, config: Any, make: vector.Make, seed: int, steps: int) -> Iterator[Any]:
-    """One of our learners: untrained, and after each update until it has taken so many steps."""
+    """Yield one of our learners untrained, and after each update until it has taken so many steps."""
     with closing(vector.start(make)) as workers:
         learner = kind(config, workers, Communicator(), seed, steps)
         yield learner
@@ -31,15 +32,17 @@ def learn(kind: Any, config: Any, make: vector.Make, seed: int, steps: int) -> I
 
 
 class Looks(BaseCallback):
-    """`look` wherever Stable-Baselines3 is about to collect, and at the end."""
+    """Call `look` wherever Stable-Baselines3 is about to collect, and at the end."""
 
     def __init__(self, start: Callable[[], Any]) -> None:
-        """`start` makes what looks, such as a `Run`, when training begins."""
+        """Take a function that makes the looking object, such as a `Run`, when training begins."""
         super().__init__()
         self.start = start
 
     def act(self, obs: Any) -> np.ndarray:
-        """Action for one observation."""
+        """Return the action for one observation, normalised where the learner's are."""
+        if normalizer := self.model.get_vec_normalize_env():
+            obs = normalizer.normalize_obs(obs)
         return self.model.predict(obs, deterministic=True)[0]
 
     def _on_training_start(self) -> None:
@@ -54,8 +57,12 @@ class Looks(BaseCallback):
         return not self.run.is_solved
 
 
-def sb3_ddpg(env: Any, seed: int, config: DDPGHERConfig, max_steps: int) -> Any:
-    """Stable-Baselines3's DDPG with its HER buffer as `config`."""
+def sb3_ddpg(
+    env: Any, seed: int, config: DDPGHERConfig, max_steps: int, normalise: bool = False
+) -> Any:
+    """Return Stable-Baselines3's DDPG with its HER buffer as `config`."""
+    if normalise:
+        env = VecNormalize(DummyVecEnv([lambda: env]), norm_reward=False, clip_obs=config.norm_clip)
     none = np.zeros(env.action_space.shape)
     noise = NormalActionNoise(none, none + config.noise_eps)
     return sb3.DDPG(
@@ -69,7 +76,7 @@ def sb3_ddpg(env: Any, seed: int, config: DDPGHERConfig, max_steps: int) -> Any:
 
 
 def play(env: Any, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
-    """Return and success of each episode without exploration."""
+    """Yield return and success of each episode without exploration."""
     for index in range(episodes):
         obs, _ = env.reset(seed=FIRST_START + index)
         total, is_done = 0.0, False

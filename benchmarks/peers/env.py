@@ -22,13 +22,13 @@ LAYOUTS = ("1", "6")  # the most and the fewest taxels of the paper
 
 
 def policy_actions(size: int) -> np.ndarray:
-    """What an untrained PPO policy does: Gaussian actions of the paper's variance, 0.05."""
+    """Return the actions of an untrained PPO policy: Gaussian, with the paper's variance of 0.05."""
     noise = np.random.default_rng(0).standard_normal((STEPS, size))
     return np.clip(0.05**0.5 * noise, -1, 1)
 
 
 class Steps:
-    """The same random actions in one scene, through our environment or past it.
+    """Play the same random actions in one scene, through our environment or past it.
 
     An untrained policy presses the hand on the cube all the time; `raised` keeps the hand in
     the air, as gymnasium-robotics' hand is once its block has fallen off.
@@ -43,11 +43,11 @@ class Steps:
             self.actions[:, 2] = 1.0
 
     def ours(self) -> int:
-        """`env.step`."""
+        """Play an episode through `env.step`."""
         return episode(self.env, self.env.step, self.actions)
 
     def raw(self, step: Callable[[np.ndarray], None]) -> Contender:
-        """`step` alone, with the motors' targets."""
+        """Return a contender that calls `step` alone, with the motors' targets."""
         hand = self.env.hand
         targets = itertools.accumulate(
             self.actions, lambda last, a: hand.action_map(a, last), initial=hand.start_targets()
@@ -55,16 +55,16 @@ class Steps:
         return partial(episode, self.env, step, list(targets)[1:])
 
 
-def episode(env: Any, step: Callable[[np.ndarray], Any], given: Iterable[np.ndarray]) -> int:
-    """A reset, and `step` with each that is given."""
+def episode(env: Any, step: Callable[[np.ndarray], Any], items: Iterable[np.ndarray]) -> int:
+    """Reset, and call `step` with each item; return the number of steps."""
     env.reset(seed=0)
-    for each in given:
-        step(each)
+    for item in items:
+        step(item)
     return STEPS
 
 
 def mj_step(steps: Steps) -> Contender:
-    """MuJoCo alone."""
+    """Return MuJoCo alone as a contender."""
     model, data = steps.env.simulator.model, steps.env.simulator.data
     order = [model.actuator(name).id for name in steps.env.hand.actuators]
     n_substeps = steps.env.config.n_substeps
@@ -77,7 +77,7 @@ def mj_step(steps: Steps) -> Contender:
 
 
 def bullet(steps: Steps) -> Contender:
-    """PyBullet alone: motors, then per timestep the object's weight and `stepSimulation`.
+    """Return PyBullet alone as a contender: per timestep the object's weight and `stepSimulation`.
 
     Bullet's own gravity would pull at the hand too, so the weight is a force to be given anew for
     every timestep.
@@ -87,12 +87,12 @@ def bullet(steps: Steps) -> Contender:
 
 
 def gymnasium_robotics() -> Contender:
-    """The Boolean touch block environment (92 zones), mended in memory for MuJoCo 4."""
+    """Return Gymnasium-Robotics' Boolean touch block environment, mended in memory for MuJoCo 4."""
     import gymnasium_robotics
     from gymnasium_robotics.utils import mujoco_utils
 
     class Mended:
-        """MuJoCo 4 no longer compares its enums with NumPy's integers."""
+        """Give MuJoCo's enums as integers, for it no longer compares them with NumPy's."""
 
         mjtJoint = SimpleNamespace(
             **{name: int(value) for name, value in mujoco.mjtJoint.__members__.items()}
@@ -110,7 +110,7 @@ def gymnasium_robotics() -> Contender:
 
 
 def environments() -> dict[str, Any]:
-    """Environment steps per second."""
+    """Measure environment steps per second."""
     result: dict[str, Any] = {}
     peer = {"gymnasium-robotics": gymnasium_robotics()}
     for control_dt in (CONTROL_DT, 0.2):
@@ -130,7 +130,7 @@ def environments() -> dict[str, Any]:
 
 
 def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str, Any]:
-    """Rates of all, and ratios of ours to the others' and of a layout's to that of the one before."""
+    """Return all rates, ratios of ours to the others', and of each layout to the one before."""
     contenders = {name: steps.ours for name, steps in ours.items()} | others
     rates = rounds(contenders, time.process_time)
     pairs = (*itertools.product(ours, others), *((b, a) for a, b in itertools.pairwise(ours)))
@@ -138,10 +138,10 @@ def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str,
 
 
 def show(scenes: dict[str, Any]) -> None:
-    """One table: rates of every layout over those of the simulator alone and of the peer."""
+    """Print rates of every layout over those of the simulator alone and of the peer."""
     rows = []
-    for title, found in scenes.items():
-        rates = dict(found["per_s"])
+    for title, result in scenes.items():
+        rates = dict(result["per_s"])
         ours = [(name, rates.pop(name)) for name in list(rates) if name.startswith("layout")]
         alone, *peer = rates.values()
         for name, rate in ours:

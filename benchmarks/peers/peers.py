@@ -21,6 +21,6 @@ PARTS: dict[str, Part] = {
 
 
 def main() -> None:
-    """All parts or one."""
+    """Measure all parts, or one."""
     packages = ("mujoco", "pybullet", "torch", "numpy", "gymnasium-robotics", "stable_baselines3")
     run_parts(__doc__, PARTS, *packages)

@@ -5,9 +5,10 @@ Both libraries get the hyperparameters of tests/algos/test_toy_learning.py. What
 - PPO: Stable-Baselines3 clips the gradient of actor and critic together, normalises advantages
   in each minibatch, and its mean action has no tanh. Its policy's variance is fixed and its first
   weights are orthogonal, as ours are here.
-- DDPG+HER: Stable-Baselines3 has no penalty on actions, no normaliser of observations, no bounds
-  on targets and no uniformly random actions but in the first episodes. Its target networks move
-  a little with every update, as far in forty as ours do in one step after them.
+- DDPG+HER: Stable-Baselines3 has no penalty on actions, no bounds on targets and no uniformly
+  random actions but in the first episodes. Its target networks move a little with every update, as
+  far in forty as ours do in one step after them. It runs without a normaliser of observations, as it
+  does by default, and with VecNormalize, as ours always has one.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ PPO_CONFIG = PPOConfig(
 )  # fmt: skip
 DDPG_CONFIG = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
 their_ddpg = partial(sb3_ddpg, config=DDPG_CONFIG, max_steps=PointReachEnv.max_episode_steps)
+OURS, THEIRS = "tactilerl", "stable-baselines3"
 
 
 @dataclass
@@ -52,7 +54,7 @@ class Run:
     _since: float = field(default_factory=time.process_time)
 
     def look(self, steps: int, act: Act) -> bool:
-        """Is it solved? Called between updates; plays `act` every `toy.every` steps."""
+        """Return whether it is solved; plays `act` every `toy.every` steps."""
         if steps - self.steps >= self.toy.every:
             self.seconds += time.process_time() - self._since
             self.steps, self.is_solved = steps, self.toy.is_solved(act)
@@ -61,7 +63,7 @@ class Run:
 
 
 def ours(toy: Toy, seed: int) -> Run:
-    """Our learner until it has solved the toy."""
+    """Train our learner until it has solved the toy."""
     make = partial(envs.make, toy.name)
     learners = learn(toy.kind, toy.config, make, seed, toy.cap)
     next(learners)
@@ -72,18 +74,15 @@ def ours(toy: Toy, seed: int) -> Run:
     return run
 
 
-def theirs(toy: Toy, seed: int) -> Run:
-    """Stable-Baselines3's learner until it has solved the toy."""
+def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
+    """Train a learner of Stable-Baselines3 until it has solved the toy."""
     looks = Looks(partial(Run, toy))
-    toy.theirs(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
+    make(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
     return looks.run
 
 
-LIBRARIES: dict[str, Callable[[Toy, int], Run]] = {"tactilerl": ours, "stable-baselines3": theirs}
-
-
 def their_ppo(env: Any, seed: int) -> Any:
-    """Stable-Baselines3's PPO as PPO_CONFIG."""
+    """Return Stable-Baselines3's PPO as PPO_CONFIG."""
     config = PPO_CONFIG
     model = sb3.PPO(
         "MlpPolicy", env, learning_rate=lambda left: left * config.actor_lr,
@@ -101,7 +100,7 @@ def their_ppo(env: Any, seed: int) -> Any:
 
 
 def is_near_optimal(act: Act, episodes: int = 20) -> bool:
-    """Is the mean return within 5 % of the Riccati optimum?"""
+    """Return whether the mean return is within 5 % of the Riccati optimum."""
     return _within(
         1.05 * optimal_cost(episodes), (-total for total, _ in play(envs.make("lqr"), act, episodes))
     )
@@ -109,20 +108,20 @@ def is_near_optimal(act: Act, episodes: int = 20) -> bool:
 
 @cache
 def optimal_cost(episodes: int) -> float:
-    """Sum over the starts of `play`."""
+    """Return the Riccati optimum, summed over the starts of `play`."""
     env = envs.make("lqr")
     starts = [env.reset(seed=FIRST_START + index)[0] for index in range(episodes)]
     return -sum(LQREnv.optimal_return(start.astype(np.float64)) for start in starts)
 
 
 def reaches(act: Act, goals: int = 100) -> bool:
-    """Are at least 95 % of the goals reached?"""
+    """Return whether at least 95 % of the goals are reached."""
     played = play(envs.make("point-reach"), act, goals)
     return _within(0.05 * goals, (1.0 - success for _, success in played))
 
 
 def _within(budget: float, losses: Iterable[float]) -> bool:
-    """Does the sum stay in the budget? No more episodes are played than it takes to say no."""
+    """Return whether the sum stays in the budget; ends at the first loss that exceeds it."""
     return all(total <= budget + 1e-9 for total in itertools.accumulate(losses))
 
 
@@ -138,60 +137,76 @@ class Toy:
     """Environment steps after which a seed counts as not solved."""
     kind: Any
     config: Any
-    theirs: Callable[[Any, int], Any]
-    """(environment, seed) -> Stable-Baselines3's learner."""
+    theirs: dict[str, Callable[[Any, int], Any]]
+    """(environment, seed) -> a learner of Stable-Baselines3, by name."""
 
 
 TOYS = {
-    "LQR, PPO": Toy("lqr", is_near_optimal, 1000, 40_000, PPO, PPO_CONFIG, their_ppo),
-    "point-reach, DDPG+HER": Toy("point-reach", reaches, 250, 10_000, DDPGHER, DDPG_CONFIG, their_ddpg),
+    "LQR, PPO": Toy("lqr", is_near_optimal, 1000, 40_000, PPO, PPO_CONFIG, {THEIRS: their_ppo}),
+    "point-reach, DDPG+HER": Toy(
+        "point-reach",
+        reaches,
+        250,
+        10_000,
+        DDPGHER,
+        DDPG_CONFIG,
+        {THEIRS: their_ddpg, f"{THEIRS}, VecNormalize": partial(their_ddpg, normalise=True)},
+    ),
 }
 
 
 def solve() -> dict[str, Any]:
-    """Every seed of every library, in turn."""
+    """Train every seed of every library, in turn."""
     result = {}
     for title, toy in TOYS.items():
-        runs: dict[str, list[Run]] = {name: [] for name in LIBRARIES}
+        contenders = {OURS: ours} | {name: partial(theirs, make) for name, make in toy.theirs.items()}
+        runs: dict[str, list[Run]] = {name: [] for name in contenders}
         for seed in progress(SEEDS, title):
-            for name, contender in LIBRARIES.items():
+            for name, contender in contenders.items():
                 runs[name].append(contender(toy, seed))
         result[title] = _summary(runs)
     return result
 
 
 def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
-    """Means with intervals. A seed that was not solved counts as if at the cap: a lower bound."""
+    """Return means with intervals; a seed that was not solved counts as if at the cap."""
     result: dict[str, Any] = {"seeds": len(SEEDS)}
-    for name, of_one in runs.items():
+    for name, group in runs.items():
+        seconds = [run.seconds for run in group]
         result[name] = {
-            "not_solved": sum(not run.is_solved for run in of_one),
-            "seconds": _with_interval(np.mean, [run.seconds for run in of_one]),
-            "env_steps": _with_interval(np.mean, [float(run.steps) for run in of_one]),
+            "not_solved": sum(not run.is_solved for run in group),
+            "seconds": _with_interval(np.mean, seconds),
+            "env_steps": _with_interval(np.mean, [float(run.steps) for run in group]),
         }
-    own, peer = ([run.seconds for run in runs[name]] for name in ("tactilerl", "stable-baselines3"))
-    result["ratio"] = _with_interval(
-        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own
-    )
+        if name != OURS:
+            reference = [run.seconds for run in runs[OURS]]
+            result[name]["ratio"] = _with_interval(_ratio, seconds, reference)
     return result
 
 
+def _ratio(a: np.ndarray, b: np.ndarray, axis: int) -> Any:
+    """Return the ratio of two means."""
+    return a.mean(axis=axis) / b.mean(axis=axis)
+
+
 def _with_interval(statistic: Callable[..., Any], *samples: list[float]) -> list[float]:
-    """[value, low, high] of a bootstrap over seeds, 95 %."""
+    """Return value, low and high of a bootstrap over seeds, 95 %."""
     data = tuple(np.array(sample) for sample in samples)
-    found = stats.bootstrap(data, statistic, method="percentile", vectorized=True, rng=0)
-    ends = found.confidence_interval
+    result = stats.bootstrap(data, statistic, method="percentile", vectorized=True, rng=0)
+    ends = result.confidence_interval
     return [float(statistic(*data, axis=0)), float(ends.low), float(ends.high)]
 
 
 def show(solved: dict[str, Any]) -> None:
-    """One table."""
+    """Print one table."""
     rows: list[tuple[str, ...]] = []
     for title, row in solved.items():
-        for name, of in row.items():
-            if name in ("seeds", "ratio"):
+        for name, result in row.items():
+            if name == "seeds":
                 continue
-            seconds, steps = interval(*of["seconds"], ".1f"), interval(*of["env_steps"], ",.0f")
-            rows.append((f"{title}: {name}", seconds, steps, f"{of['not_solved']} of {row['seeds']}"))
-        rows.append((f"{title}: stable-baselines3 / tactilerl", interval(*row["ratio"], ".1f"), "", ""))
-    markdown("| | processor time, s | environment steps | not solved |", rows)
+            seconds = interval(*result["seconds"], ".1f")
+            steps = interval(*result["env_steps"], ",.0f")
+            ratio = interval(*result["ratio"], ".1f") if "ratio" in result else "1"
+            not_solved = f"{result['not_solved']} of {row['seeds']}"
+            rows.append((f"{title}: {name}", seconds, ratio, steps, not_solved))
+    markdown("| | processor time, s | relative to ours | environment steps | not solved |", rows)

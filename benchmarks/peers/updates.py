@@ -30,7 +30,7 @@ PPO_SIZES, DDPG_SIZES = (PPO_OBS - GOAL, PPO_ACTIONS), (DDPG_OBS - GOAL, DDPG_AC
 
 
 def sb3_ppo() -> Contender:
-    """Stable-Baselines3's PPO.train on a batch of the same shapes and networks."""
+    """Return Stable-Baselines3's PPO.train on a batch of the same shapes and networks."""
     env = gym.wrappers.FilterObservation(RandomGoals(*PPO_SIZES), ["observation", "desired_goal"])
     model = sb3.PPO(
         "MlpPolicy", gym.wrappers.FlattenObservation(env), n_steps=PPO_BATCH, n_epochs=PASSES,
@@ -49,7 +49,7 @@ def sb3_ppo() -> Contender:
 
 
 def sb3_ddpg() -> Any:
-    """Stable-Baselines3's with the same networks, batch and replay contents."""
+    """Return Stable-Baselines3's DDPG with the same networks, batch and replay contents."""
     model = sb3.DDPG(
         "MultiInputPolicy", RandomGoals(*DDPG_SIZES), replay_buffer_class=sb3.HerReplayBuffer,
         replay_buffer_kwargs={"n_sampled_goal": 4}, batch_size=DDPG_BATCH, buffer_size=100_000,
@@ -60,7 +60,7 @@ def sb3_ddpg() -> Any:
 
 
 def products(batch: int, *work: tuple[list[int], int, int, int]) -> Contender:
-    """The matrix products that updates cannot do without: what no implementation beats.
+    """Return the matrix products that updates cannot do without: what no implementation beats.
 
     Each network in `work` is its sizes, and how often an update goes through it: forward, for
     gradients of weights, for gradients of inputs; the last not at the first layer the last time.
@@ -88,20 +88,20 @@ def products(batch: int, *work: tuple[list[int], int, int, int]) -> Contender:
 
 
 def ppo_products() -> Contender:
-    """Of one minibatch through actor and critic."""
+    """Return the products of one minibatch through actor and critic."""
     actor, critic = ([PPO_OBS, *WIDTHS, outputs] for outputs in (PPO_ACTIONS, 1))
     return products(PPO_BATCH // PPO_MINIBATCHES, (actor, 1, 1, 1), (critic, 1, 1, 1))
 
 
 def ddpg_products() -> Contender:
-    """Of one batch; the actor's loss goes through the critic, the targets through both."""
+    """Return those of one batch; the actor's loss goes through the critic, targets through both."""
     actor = [DDPG_OBS, *WIDTHS, DDPG_ACTIONS]
     critic = [DDPG_OBS + DDPG_ACTIONS, *WIDTHS, 1]
     return products(DDPG_BATCH, (actor, 2, 1, 1), (critic, 3, 1, 2))
 
 
 def updates() -> dict[str, Any]:
-    """PPO's and DDPG+HER's updates of actor and critic, and relabelled transitions, per second."""
+    """Measure updates of actor and critic, and relabelled transitions, per second."""
     config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
     ppo = fed(PPO, config, *PPO_SIZES)
     replay = DDPGHERConfig(n_rollouts=EPISODES, n_batches=UPDATES, batch_size=DDPG_BATCH)
@@ -146,9 +146,9 @@ def updates() -> dict[str, Any]:
 
 
 def show(contests: dict[str, Any]) -> None:
-    """One table, in units of Stable-Baselines3's rate."""
+    """Print a table in units of Stable-Baselines3's rate."""
     rows = []
-    for title, found in contests.items():
-        rates = [found["per_s"].get(name) for name in (THEIRS, OURS, BOUND)]
+    for title, result in contests.items():
+        rates = [result["per_s"].get(name) for name in (THEIRS, OURS, BOUND)]
         rows.append((title, *(f"{rate / rates[0]:.2f}" if rate else "" for rate in rates)))
     markdown("| updates | Stable-Baselines3 | tactilerl | the products alone |", rows)

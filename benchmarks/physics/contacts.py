@@ -8,20 +8,20 @@ from tactilerl.envs.grasp import GraspEnv
 
 
 def deepest(env: GraspEnv) -> float:
-    """How far hand and object overlap now, m."""
+    """Return how far hand and object overlap now, m."""
     sim: Any = env.simulator
     if env.config.simulator == "pybullet":
         from tactilerl.envs.simulators.pybullet import pybullet
 
         points = pybullet.getContactPoints(sim.hand, sim.object, physicsClientId=sim.client)
         return -min([point[8] for point in points], default=0.0)
-    thing, ground = sim.model.geom("object").id, sim.model.geom("ground").id
-    touching = (c for c in sim.data.contact if thing in c.geom and ground not in c.geom)
+    object_id, ground = sim.model.geom("object").id, sim.model.geom("ground").id
+    touching = (c for c in sim.data.contact if object_id in c.geom and ground not in c.geom)
     return -min((contact.dist for contact in touching), default=0.0)
 
 
 def self_contact() -> int:
-    """Flags under which Bullet loads a hand whose links touch each other, but not their parents."""
+    """Return Bullet's loading flags for a hand whose links touch each other, but not their parents."""
     from tactilerl.envs.simulators.pybullet import LOADING, pybullet
 
     parents = pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS

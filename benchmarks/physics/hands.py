@@ -51,7 +51,7 @@ TRAIN += ["--workers", "1"]
 
 
 def measure(seconds: float, name: str) -> dict[str, Any]:
-    """What the commands say of a hand, each in at most so many s, and their time on processors."""
+    """Return what the commands say of a hand, each in at most so many s, and the processor time."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         command = partial(_command, folder, seconds)
@@ -65,7 +65,7 @@ def measure(seconds: float, name: str) -> dict[str, Any]:
 
 
 def _in(simulator: str, command: Any) -> dict[str, Any]:
-    """What layout 1 feels, and whether training runs."""
+    """Return what layout 1 feels, and whether training runs."""
     here = ["--env", "hand.toml", "--simulator", simulator]
     code, said = command("env", *here, "--layout", "1", "--check", "--json")
     if code not in (0, 1):
@@ -83,7 +83,7 @@ def _in(simulator: str, command: Any) -> dict[str, Any]:
 
 
 def _command(folder: str, seconds: float, *arguments: str) -> tuple[int | None, str]:
-    """Exit code and output; None where it took longer."""
+    """Return exit code and output; the code is None where it took longer."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [executable, "-m", "tactilerl", *arguments]
     try:
@@ -96,7 +96,7 @@ def _command(folder: str, seconds: float, *arguments: str) -> tuple[int | None, 
 
 
 def _failure(code: int | None, said: str) -> str:
-    """Why a command failed; "" where it did not."""
+    """Return why a command failed, or ""."""
     if code == 0:
         return ""
     lines = said.strip().splitlines() or [f"exit code {code}"]
@@ -105,7 +105,7 @@ def _failure(code: int | None, said: str) -> str:
 
 
 def show(result: dict[str, Any]) -> None:
-    """The table of the docs."""
+    """Print the table of the docs."""
     rows = []
     for name, about in sorted(result["runs"].items(), key=lambda run: list(HANDS).index(run[0])):
         minutes = f"{about['minutes']:.1f}"

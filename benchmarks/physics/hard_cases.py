@@ -32,22 +32,22 @@ Policy = Callable[[np.random.Generator, int], np.ndarray]
 
 
 def noise(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Uniform."""
+    """Return uniform actions."""
     return rng.uniform(-1, 1, n)
 
 
 def bang_bang(rng: np.random.Generator, n: int) -> np.ndarray:
-    """From one end of the range to the other."""
+    """Return actions at one end of the range or the other."""
     return rng.choice([-1.0, 1.0], n)
 
 
 def huge(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Far beyond the range."""
+    """Return actions far beyond the range."""
     return 1e30 * bang_bang(rng, n)
 
 
 def not_finite(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Every second time with one entry that is no number."""
+    """Return uniform actions, every second time with one entry that is not finite."""
     action = noise(rng, n)
     if rng.random() < 0.5:
         action[rng.integers(n)] = rng.choice([np.nan, np.inf, -np.inf])
@@ -55,12 +55,12 @@ def not_finite(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def squeeze(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Close everything as hard as it goes, where the hand is."""
+    """Close all digits as hard as possible, where the hand is."""
     return np.concatenate([np.zeros(3), np.ones(n - 3)])
 
 
 def press(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Down, on the object and into the ground."""
+    """Press down, on the object and into the ground."""
     return np.concatenate([[0.0, 0.0, -1.0], np.zeros(n - 3)])
 
 
@@ -147,7 +147,7 @@ def run(hand: str, simulator: str, case: Case, steps: int) -> dict[str, Any]:
 
 
 def scene(hand: str, simulator: str, case: Case) -> GraspConfig:
-    """What a case asks for."""
+    """Return the configuration of a case."""
     shipped = setup(hand, simulator=simulator)
     choices = {k: getattr(shipped, k) * v if k in FACTORS else v for k, v in case.choices.items()}
     if "timestep" in choices:
@@ -158,7 +158,7 @@ def scene(hand: str, simulator: str, case: Case) -> GraspConfig:
 
 
 def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
-    """One step: is the episode over, and what was seen."""
+    """Take one step; return whether the episode is over, and what was seen."""
     before = state(env)
     try:
         *_, done, info = env.step(action)
@@ -182,14 +182,14 @@ def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
 
 
 def state(env: GraspEnv) -> np.ndarray:
-    """Position and orientation of the object, positions and velocities of the joints."""
+    """Return pose of the object, positions and velocities of the joints, (n,)."""
     now = env.simulator.state()
     pose = now.object_position, now.object_orientation
     return np.concatenate([*pose, now.joint_positions, now.joint_velocities])
 
 
 def begin(env: GraspEnv, seed: int, start: float | None) -> None:
-    """Reset; with `start`, once more with the object inside the hand."""
+    """Reset the scene; with `start`, once more with the object inside the hand."""
     env.reset(seed=seed)
     if start is not None:
         place = env.simulator.state().palm - [0.0, 0.0, start]
@@ -197,7 +197,7 @@ def begin(env: GraspEnv, seed: int, start: float | None) -> None:
 
 
 def main() -> int:
-    """All cases of every hand in every simulator, or of those asked for."""
+    """Play all cases of every hand in every simulator, or those that flags name."""
     flags = parser(__doc__)
     flags.add_argument("--hand", choices=("shadow", "mpl"), action="append")
     flags.add_argument("--simulator", choices=("mujoco", "pybullet"), action="append")
@@ -230,7 +230,7 @@ FORMATS = {
 
 
 def show(results: dict[str, dict[str, dict[str, Any]]]) -> None:
-    """One table, with what left its limits in bold."""
+    """Print a table with what left its limits in bold."""
     rows = []
     for pair, cases in results.items():
         for name, row in cases.items():
@@ -248,7 +248,7 @@ def show(results: dict[str, dict[str, dict[str, Any]]]) -> None:
 
 
 def show_short(results: dict[str, dict[str, dict[str, Any]]]) -> None:
-    """One table with a column for each pair: overlap, speed and joint."""
+    """Print overlap, speed and joint in a column for each pair."""
     rows = [
         (name, *(_short(cases[name]) for cases in results.values() if name in cases)) for name in CASES
     ]

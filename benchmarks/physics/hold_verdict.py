@@ -43,8 +43,7 @@ Source = tuple[str, dict[str, Any], Policy]
 
 @dataclass
 class Watched:
-    """The hold tests of an environment, by other parameters; remembers the last verdict and what it
-    took."""
+    """Hold tests of an environment by other parameters, with the last verdict and its seconds."""
 
     env: Any
     fields: dict[str, Any]
@@ -57,7 +56,7 @@ class Watched:
         self.env.task.hold = self
 
     def run(self, simulator: Simulator, state: State) -> bool:
-        """As the task's own test."""
+        """Run the hold test, and remember its verdict."""
         started = time.process_time()
         held = self._test.run(simulator, state)
         self.held, self.seconds = held, time.process_time() - started
@@ -65,8 +64,10 @@ class Watched:
 
 
 class ScriptedPolicy:
-    """A hand's scripted grasp in the units of the action, disturbed by 0.3 to 1 of a policy's
-    exploration at every step and by as many `MISS` as a whole."""
+    """A hand's scripted grasp in the units of the action, disturbed.
+
+    Each step has 0.3 to 1 of a policy's exploration, and the whole grasp as much of `MISS`.
+    """
 
     def __init__(self, env: Any, rng: np.random.Generator) -> None:
         self.env, self.rng = env, rng
@@ -79,14 +80,14 @@ class ScriptedPolicy:
         self.steps = 0
 
     def __call__(self, obs: Any) -> Array:
-        """The next action."""
+        """Return the next action."""
         target = self.targets[min(self.steps, len(self.targets) - 1)]
         self.steps += 1
         noise = NOISE * self.scale * self.rng.standard_normal(len(self.miss))
         return np.clip(self._exact(target) + self.gentle * (self.miss + noise), -1.0, 1.0)
 
     def _exact(self, target: Array) -> Array:
-        """The action that asks for the target."""
+        """Return the action that asks for the target."""
         does = self.env.hand.action_map
         if isinstance(does, LinearAction):
             return (target - does.centre) / does.half_range
@@ -95,17 +96,17 @@ class ScriptedPolicy:
 
 
 def trained(run: Path) -> Source:
-    """The policy of a run folder."""
-    found = read_run(run)
+    """Return the policy of a run folder."""
+    loaded = read_run(run)
 
     def policy(env: Any, rng: np.random.Generator) -> Act:
-        return partial(found.policy.act, deterministic=False, rng=rng)
+        return partial(loaded.policy.act, deterministic=False, rng=rng)
 
-    return found.config.run.env, asdict(found.config.scene), policy
+    return loaded.config.run.env, asdict(loaded.config.scene), policy
 
 
 def disturbed(hand: str, simulator: str) -> Source:
-    """A hand's scripted grasp."""
+    """Return a hand's scripted grasp."""
     return hand, {"simulator": simulator, "max_episode_steps": 25}, ScriptedPolicy
 
 
@@ -116,7 +117,7 @@ def measure(
     holds: int,
     tests: dict[str, dict[str, Any]],
 ) -> dict[str, Any]:
-    """Verdicts and times of `holds` lifts by `tests`: each has fields of HoldTest."""
+    """Return verdicts and times of `holds` lifts by `tests`, which have fields of HoldTest."""
     world = [Watched(envs.make(hand, **choices), test) for test in tests.values()]
     rows: list[dict[str, Any]] = []
     playing, seed = 0.0, SEED
@@ -135,7 +136,7 @@ def measure(
 
 
 def lift(world: list[Watched], policy: Policy, seed: int) -> float:
-    """One episode in all environments, by what the policy does in the first; seconds spent there."""
+    """Play an episode in all environments, by the actions in the first; return its seconds."""
     first, *others = world
     obs, _ = first.env.reset(seed=seed)
     for other in others:
@@ -155,7 +156,7 @@ def lift(world: list[Watched], policy: Policy, seed: int) -> float:
 
 
 def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
-    """What the table has, of verdicts and seconds."""
+    """Return a row of the table from verdicts and seconds."""
     held = {name: np.array([row[name][0] for row in rows]) for name in rows[0]}
     seconds = {name: sum(row[name][1] for row in rows) for name in rows[0]}
     changed = int((held["early"] != held["full"]).sum())
@@ -172,7 +173,7 @@ def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
 
 
 def show(results: dict[str, dict[str, Any]]) -> None:
-    """One table, as Markdown."""
+    """Print the table."""
     rows = []
     for name, row in results.items():
         low, high = row["changed_ci"]

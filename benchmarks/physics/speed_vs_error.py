@@ -135,7 +135,7 @@ class Trace(NamedTuple):
 
 @contextmanager
 def environment(hand: str, simulator: str, size: Any, setting: Setting) -> Iterator[GraspEnv]:
-    """A scene under one setting."""
+    """Make a scene under one setting, and close it afterwards."""
     timestep = setting.timestep * setup(hand).timestep
     choices = {"timestep": timestep, "control_dt": timestep, **setting.config}
     config = setup(hand, simulator=simulator, layout="1", object_size=size, **choices)
@@ -157,7 +157,7 @@ def _change_mujoco(simulator: Any, setting: Setting) -> None:
 
 
 def _change_bullet(stack: ExitStack, hand: str, setting: Setting) -> None:
-    """Of what is loaded until the stack ends."""
+    """Change what is loaded until the stack ends."""
     from tactilerl.envs.simulators import pybullet
 
     if setting.added_inertia is not None:
@@ -184,7 +184,7 @@ def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Trace:
 
 
 def _watched(env: GraspEnv, hold: Iterator[bool]) -> Iterator[tuple[Any, ...]]:
-    """Of each step: position, rotation and bits, whether the object is up, overlap, processor time."""
+    """Yield position, rotation, taxels, whether the object is up, overlap and seconds of each step."""
     started = time.process_time()
     for is_up in hold:
         seconds = time.process_time() - started  # looking does not count
@@ -196,7 +196,7 @@ def _watched(env: GraspEnv, hold: Iterator[bool]) -> Iterator[tuple[Any, ...]]:
 
 
 def compare(trace: Trace, reference: Trace, shipped: Trace) -> dict[str, Any]:
-    """Errors of one setting over the grasps of all cubes that hold in it and in the reference."""
+    """Return errors of one setting over the grasps that hold in it and in the reference."""
     row: dict[str, Any] = {
         "speed": float(shipped.seconds.sum() / trace.seconds.sum()),
         "outcomes_changed": int((trace.held != reference.held).sum()),
@@ -224,9 +224,11 @@ def compare(trace: Trace, reference: Trace, shipped: Trace) -> dict[str, Any]:
 
 
 def mark_front(rows: dict[str, dict[str, Any]]) -> None:
-    """Which settings that hold something does no other beat: clearly faster, with less error and
-    no more outcomes changed? Less than CLEARLY is within the noise of the machine, and where the
-    error is the same to the last digit, so is the work."""
+    """Mark settings that no other beats: clearly faster, less error, no more outcomes changed.
+
+    Less than CLEARLY is within the noise of the machine, and where the error is the same to the
+    last digit, so is the work.
+    """
     for row in rows.values():
         row["on_front"] = "error_median_mm" in row and not any(
             other["speed"] > CLEARLY * row["speed"]
@@ -237,7 +239,7 @@ def mark_front(rows: dict[str, dict[str, Any]]) -> None:
 
 
 def measure(hand: str, simulator: str, grasps: int) -> dict[str, dict[str, Any]]:
-    """A row for each setting, the first for the coarser reference."""
+    """Return a row for each setting, the first for the coarser reference."""
     coarse, fine = (record(hand, simulator, s, grasps) for s in REFERENCES[simulator])
     settings = SETTINGS[simulator]
     traces = {name: record(hand, simulator, s, grasps) for name, s in settings.items()}
@@ -258,11 +260,11 @@ FORMATS = {
     "bits_wrong": ".1f",
     "outcomes_changed": "d",
 }
-"""Of the columns of `show`."""
+"""The formats of the columns of `show`."""
 
 
 def show(hand: str, rows: dict[str, dict[str, Any]]) -> None:
-    """One table; settings on the front have a star."""
+    """Print one table; settings on the front have a star."""
     sizes = [f"{1e3 * size:g}" for size in SIZES[hand]]
     head = (
         f"| setting | speed | error, median mm | {' / '.join(sizes)} mm cube | worst mm | rad "
@@ -283,7 +285,7 @@ def _number(row: dict[str, Any], key: str, form: str = ".2f") -> str:
 
 
 def show_shipped(results: dict[str, Any]) -> None:
-    """One table: what is shipped, beside half its timestep."""
+    """Print what is shipped, beside half its timestep."""
     rows = []
     for title, result in sorted(results.items(), key=lambda item: item[0].split()[::-1]):
         hand, _, simulator = title.split()

@@ -26,7 +26,7 @@ Row = dict[str, Any]
 
 
 def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choices: Any) -> Row:
-    """The best reflexes in a scene with some choices of its own."""
+    """Return the best scripted hands in a scene with some choices of its own."""
     named = scenes.load(name)
     env = choices.pop("env", named.env)
     config = setup(env, **{**named.on(env), **choices})
@@ -34,14 +34,14 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
         config = dataclasses.replace(config, **QUICK)
     if config.simulator == "pybullet":  # several times as slow
         starts, search = max(1, starts // 2), max(1, search // 4)
-    found = gate.examine(env, config, starts, search, 0, free_cores(), senses=senses)
-    rates = {each.name: dataclasses.asdict(each) for each in found}
-    whole = {"gate": gate.verdict(found)} if set(rates) >= {"touch", "sighted"} else {}
+    results = gate.examine(env, config, starts, search, 0, free_cores(), senses=senses)
+    rates = {each.name: dataclasses.asdict(each) for each in results}
+    whole = {"gate": gate.verdict(results)} if set(rates) >= {"touch", "sighted"} else {}
     return {"scene": name, "env": env, "choices": choices, "reflexes": rates, **whole}
 
 
 def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
-    """What is asked, by table: (row's key, scene, choices)."""
+    """Return the rows of each table: (row's key, scene, choices)."""
     return {
         "scenes": [(name, name, {}) for name in scenes.names()],
         **{
@@ -59,17 +59,17 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
 
 
 def show(table: str, known: dict[str, dict[str, Row]]) -> None:
-    """As Markdown."""
-    found = known.get(table, {})
-    rows = {key: found[key]["reflexes"] for key, *_ in tables()[table] if key in found}
+    """Print a table."""
+    played = known.get(table, {})
+    rows = {key: played[key]["reflexes"] for key, *_ in tables()[table] if key in played}
     names = [name for name in gate.SENSES if any(name in row for row in rows.values())]
     print(f"\n### {table}\n")
     markdown(f"| | {' | '.join(names)} |", ((key, *_cells(row, names)) for key, row in rows.items()))
 
 
 def _cells(row: Row, names: list[str]) -> list[str]:
-    found = [row.get(name) for name in names]
-    return [interval(one["rate"], *one["interval"]) if one else "" for one in found]
+    results = [row.get(name) for name in names]
+    return [interval(one["rate"], *one["interval"]) if one else "" for one in results]
 
 
 def main() -> None:

@@ -44,12 +44,12 @@ class SetUp(NamedTuple):
 
 Learned = dict[SetUp, dict[str, BySeed]]
 """A score by set-up, layout (or no touch) and seed."""
-Arms = dict[SetUp, Array]
+Groups = dict[SetUp, Array]
 """A score of each set-up, (layouts and no touch, seeds)."""
 
 
 def place(record: Record) -> tuple[SetUp, str]:
-    """The set-up of a run, and its layout as the tables call it."""
+    """Return the set-up of a run, and its layout as the tables call it."""
     config = record.config or {}
     run, scene = config["run"], config["scene"]
     layout = title(scene["layout"]) if scene["touch"] == "on" else NONE
@@ -57,7 +57,7 @@ def place(record: Record) -> tuple[SetUp, str]:
 
 
 def learned(score: str) -> Learned:
-    """Of every run that is done, over the steps that all runs of its set-up have."""
+    """Return the scores of all finished runs, over the steps that all runs of a set-up have."""
     groups: dict[SetUp, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
     for record in load("setups")[1]:
         if record.is_finished:
@@ -69,43 +69,43 @@ def learned(score: str) -> Learned:
     }
 
 
-def in_whole_seeds(score: str) -> Arms:
-    """Set-ups with at least two seeds that have a run of each layout and one without touch."""
-    found: Arms = {}
+def in_whole_seeds(score: str) -> Groups:
+    """Return set-ups with two seeds or more that have a run of each layout and one without touch."""
+    found: Groups = {}
     for setup, of in learned(score).items():
-        seeds, arms = in_common([of.get(name, {}) for name in (*LAYOUTS, NONE)])
+        seeds, groups = in_common([of.get(name, {}) for name in (*LAYOUTS, NONE)])
         if len(seeds) >= 2:
-            found[setup] = arms
+            found[setup] = groups
     return found
 
 
-def gains(score: str = "area") -> Arms:
-    """Touch minus no touch within seeds, (layouts, seeds)."""
-    return {setup: arms[:-1] - arms[-1] for setup, arms in in_whole_seeds(score).items()}
+def gains(score: str = "area") -> Groups:
+    """Return touch minus no touch within seeds, (layouts, seeds)."""
+    return {setup: groups[:-1] - groups[-1] for setup, groups in in_whole_seeds(score).items()}
 
 
 def show_worth() -> None:
-    """Does touch help in every set-up? Its gain is the mean over the layouts within each seed."""
+    """Print what touch adds in each set-up: the mean over the layouts within each seed."""
     found = in_whole_seeds("area")
     # Five pairs cannot fall below 0.06 when signs are flipped, so these are t tests.
-    each = ((arms[:-1] - arms[-1]).mean(axis=0) for arms in found.values())
+    each = ((groups[:-1] - groups[-1]).mean(axis=0) for groups in found.values())
     tests = [scipy.stats.ttest_1samp(gain, 0) for gain in each]
     rows = []
     corrected = statistics.holm([test.pvalue for test in tests])
-    for (setup, arms), test, p in zip(found.items(), tests, corrected, strict=True):
-        gain = arms[:-1].mean() - arms[-1].mean()
+    for (setup, groups), test, p in zip(found.items(), tests, corrected, strict=True):
+        gain = groups[:-1].mean() - groups[-1].mean()
         shown = estimate(Estimate(gain, *test.confidence_interval()), "+.2f")
-        rows.append((setup, arms.shape[1], f"{arms[-1].mean():.2f}", shown, p_value(p)))
+        rows.append((setup, groups.shape[1], f"{groups[-1].mean():.2f}", shown, p_value(p)))
     markdown("| set-up | seeds | no touch | touch − no touch | p, Holm |", rows)
 
 
 def show_layouts() -> None:
-    """What each layout reaches, and whether the chosen taxels are within MARGIN of every other."""
+    """Print what each layout reaches, and whether the chosen taxels are within MARGIN of all others."""
     rows = []
-    for setup, arms in in_whole_seeds("area").items():
-        *others, chosen = layouts = arms[:-1]
+    for setup, groups in in_whole_seeds("area").items():
+        *others, chosen = layouts = groups[:-1]
         at_least, is_within = compared(chosen, others)
-        n_dead = int((layouts < arms[-1].min()).sum())
+        n_dead = int((layouts < groups[-1].min()).sum())
         levels = [f"{level:.2f}" for level in layouts.mean(axis=1)]
         best = min(chosen.mean() - other.mean() for other in others)
         ahead = (number(value, "+.2f") for value in (best, at_least))
@@ -115,7 +115,7 @@ def show_layouts() -> None:
 
 
 def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
-    """By how much runs (seeds,) are ahead of all others at least; are they within MARGIN?
+    """Return how far runs (seeds,) are ahead of all others at least, and whether by −MARGIN or more.
 
     One-sided 95 % bounds of t tests against each of the others: "yes" takes all of them, "no" one that
     is corrected for their number.
@@ -128,18 +128,27 @@ def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
 
 
 def show_chosen() -> None:
-    """The chosen taxels against each of the paper's layouts: the mean over these set-ups."""
-    found = [*gains().values()]
+    """Print each layout's mean over the set-ups, and the chosen taxels minus it."""
+    by_setup = [*in_whole_seeds("area").values()]
+    chosen = LAYOUTS.index(CHOSEN)
     rows = []
-    for i, layout in enumerate(LAYOUTS[:-1]):
-        ahead = [each[-1] - each[i] for each in found]
-        value = np.mean([one.mean() for one in ahead])
-        parts = np.array([one.var(ddof=1) / len(one) for one in ahead])
-        n_free = [len(one) - 1 for one in ahead]
-        df = parts.sum() ** 2 / (parts**2 / n_free).sum()  # Satterthwaite's
-        ends = scipy.stats.t.interval(0.95, df, value, np.sqrt(parts.sum()) / len(ahead))
-        rows.append((layout, estimate(Estimate(float(value), *ends), "+.2f")))
-    markdown(f"| layout | {CHOSEN} − this layout, mean over the set-ups |", rows)
+    for i, name in enumerate((*LAYOUTS, NONE)):
+        level = np.mean([groups[i].mean() for groups in by_setup])
+        ahead = ""
+        if name != CHOSEN:
+            differences = [groups[chosen] - groups[i] for groups in by_setup]
+            ahead = estimate(over_setups(differences), "+.2f")
+        rows.append((name, f"{level:.2f}", ahead))
+    markdown(f"| | mean over the set-ups | {CHOSEN} − this |", rows)
+
+
+def over_setups(differences: Sequence[Array]) -> Estimate:
+    """Return the mean over these set-ups of differences (seeds,), with a t interval (Satterthwaite)."""
+    value = float(np.mean([one.mean() for one in differences]))
+    parts = np.array([one.var(ddof=1) / len(one) for one in differences])
+    df = parts.sum() ** 2 / (parts**2 / [len(one) - 1 for one in differences]).sum()
+    scale = np.sqrt(parts.sum()) / len(differences)
+    return Estimate(value, *scipy.stats.t.interval(0.95, df, value, scale))
 
 
 def show_order() -> None:
@@ -205,13 +214,13 @@ share of starts felt in time puts them into the same order as the second."""
 
 
 def predicted(name: str, setups: Iterable[SetUp]) -> dict[SetUp, Array]:
-    """What a predictor says of the four layouts in each set-up."""
+    """Return what a predictor says of the four layouts in each set-up."""
     of_hands, read = data("design")["hands"], PREDICTORS[name]
     return {s: np.array([read(of_hands[s.hand][layout]) for layout in LAYOUTS]) for s in setups}
 
 
 def show_predictors() -> None:
-    """What predicts the order of layouts? Rank correlation within set-ups, averaged over them."""
+    """Print what predicts the order of layouts: rank correlations, averaged over set-ups."""
     found = gains()
     values = np.array([one.mean(axis=1) for one in found.values()])
     rows = []

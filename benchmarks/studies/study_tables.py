@@ -45,7 +45,7 @@ SETUPS = {
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
 DESIGN_STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
 Place = tuple[str, str, str, str]
-"""Study, set-up, cell and arm of a group of runs."""
+"""Study, set-up, setting and group of some runs."""
 
 
 @cache
@@ -61,10 +61,10 @@ def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
     return setup, runs
 
 
-def label(cell: str) -> str:
-    """Return the name of a cell in tables: `layout 2`, `5 of 0.3`."""
-    match = EARLIER.fullmatch(cell)
-    return f"{match[1]} of 0.3" if match else cell.removeprefix("layout ")
+def label(setting: str) -> str:
+    """Return the name of a setting in tables: `2`, `5 of 0.3`."""
+    match = EARLIER.fullmatch(setting)
+    return f"{match[1]} of 0.3" if match else setting.removeprefix("layout ")
 
 
 def title(layout: str) -> str:
@@ -81,18 +81,18 @@ def title(layout: str) -> str:
 # -- the handover studies ----------------------------------------------------------------
 
 
-def groups(name: str = "handover") -> None:
+def group_means(name: str = "handover") -> None:
     """Print what each group of runs reached."""
     study, runs = load(name)
     main, sighted = study.setups
-    arms = {style.ROLES[arm]: (main, main.settings[0], arm) for arm in main.groups}
-    arms["no touch, but sight"] = sighted, sighted.settings[0], ""
-    selected = [study_pairs.runs_of(runs, *place) for place in arms.values()]
+    groups = {style.ROLES[group]: (main, main.settings[0], group) for group in main.groups}
+    groups["no touch, but sight"] = sighted, sighted.settings[0], ""
+    selected = [study_pairs.runs_of(runs, *place) for place in groups.values()]
     areas = study_pairs.scored("area", *selected)
     finals = study_pairs.scored("final", *selected)
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
-        for group, area, final in zip(arms, areas, finals, strict=True)
+        for group, area, final in zip(groups, areas, finals, strict=True)
     ]
     markdown("| hand | runs | mean success over the run | over its last tenth |", rows)
 
@@ -103,11 +103,13 @@ def worth(name: str = "handover") -> None:
     setup = study.setups[0]
     touch, *others = (study_pairs.runs_of(runs, setup, setup.settings[0], a) for a in setup.groups)
     rows = []
-    for arm, control in zip(setup.groups[1:], others, strict=True):
+    for group, control in zip(setup.groups[1:], others, strict=True):
         area, final = (paired(touch, control, score) for score in ("area", "final"))
         difference = estimate(area.difference, "+.2f")
         last = estimate(final.difference, "+.2f")
-        rows.append((f"touch − {style.ROLES[arm]}", len(area), difference, f"{area.p_value:.3f}", last))
+        rows.append(
+            (f"touch − {style.ROLES[group]}", len(area), difference, f"{area.p_value:.3f}", last)
+        )
     head = "| difference within pairs | pairs | mean success over the run | p | last tenth |"
     markdown(head, rows)
 
@@ -116,20 +118,20 @@ def layouts(name: str, setup_name: str = "") -> None:
     """Print each layout with touch against the same layout without."""
     setup, runs = load_setup(name, setup_name)
     pairs, finals = {}, {}
-    for cell in setup.settings:
-        arms = [study_pairs.runs_of(runs, setup, cell, arm) for arm in setup.groups[:2]]
-        pairs[cell] = paired(*arms)
-        finals[cell] = study_pairs.scored("final", *arms)[0]
+    for setting in setup.settings:
+        groups = [study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2]]
+        pairs[setting] = paired(*groups)
+        finals[setting] = study_pairs.scored("final", *groups)[0]
     scripted = reflexes(name)
     corrected = holm(pairs.values())
     rows = []
-    for (cell, pair), p in zip(pairs.items(), corrected, strict=True):
+    for (setting, pair), p in zip(pairs.items(), corrected, strict=True):
         means = f"{np.mean(pair.treatment):.2f}", f"{np.mean(pair.control):.2f}"
-        last = mean(finals[cell].values())
+        last = mean(finals[setting].values())
         difference = estimate(pair.difference, "+.2f")
-        row = [label(cell), len(pair), *means, difference, f"{p:.3f}", last]
+        row = [label(setting), len(pair), *means, difference, f"{p:.3f}", last]
         if scripted:
-            rate = scripted.get(label(cell))
+            rate = scripted.get(label(setting))
             row.append("" if rate is None else f"{rate:.2f}")
         rows.append(row)
     head = "| layout | pairs | touch | no touch | difference | p, Holm | last tenth, touch |"
@@ -148,7 +150,9 @@ def reflexes(scene: str) -> dict[str, float]:
 def between(name: str) -> None:
     """Print layouts with touch against each other, in pairs."""
     setup, runs = load_setup(name)
-    by_layout = {label(cell): study_pairs.runs_of(runs, setup, cell, "on") for cell in setup.settings}
+    by_layout = {
+        label(setting): study_pairs.runs_of(runs, setup, setting, "on") for setting in setup.settings
+    }
     pairs = [paired(by_layout[a], by_layout[b]) for a, b in BETWEEN]
     rows = [
         (f"{a} − {b}", what, len(pair), estimate(pair.difference, "+.2f"), f"{p:.3f}")
@@ -165,7 +169,9 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     rows = []
     for setup in study.setups:
         faulty = study_pairs.runs_of(runs, setup, setup.settings[0], "")
-        pairs = [paired(faulty, study_pairs.runs_of(sound_runs, *place, arm)) for arm in ("on", "off")]
+        pairs = [
+            paired(faulty, study_pairs.runs_of(sound_runs, *place, group)) for group in ("on", "off")
+        ]
         differences = (estimate(pair.difference, "+.2f") for pair in pairs)
         success = mean(pairs[0].treatment)
         rows.append((FAULTS[setup.name], len(pairs[0]), success, *differences))
@@ -176,15 +182,15 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
 def senses(name: str = "senses") -> None:
     """Print what touch adds, by sight and by error of the joints."""
     study, runs = load(name)
-    cells = study.setups[0].settings
+    settings = study.setups[0].settings
     rows = []
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
-        for cell in cells:
-            pairs = study_pairs.in_pairs(study_pairs.both_groups(runs, setup, cell, "area"))
+        for setting in settings:
+            pairs = study_pairs.in_pairs(study_pairs.both_groups(runs, setup, setting, "area"))
             row.append(estimate(pairs.difference, "+.2f"))
         rows.append(row)
-    noises = (f"joint error {cell.removeprefix('joint noise held ')} rad" for cell in cells)
+    noises = (f"joint error {setting.removeprefix('joint noise held ')} rad" for setting in settings)
     markdown(f"| sight | {' | '.join(noises)} |", rows)
 
 
@@ -196,11 +202,11 @@ def over_layouts(name: str) -> None:
     study, runs = load(name)
     rows, pairs = [], []
     for setup in study.setups:
-        cells = [study_pairs.both_groups(runs, setup, cell, "area") for cell in setup.settings]
-        seeds, scores = in_common([arm for arms in zip(*cells, strict=True) for arm in arms])
-        means = scores.reshape(2, len(cells), len(seeds)).mean(axis=1)
-        pair = study_pairs.in_pairs([dict(zip(seeds, arm, strict=True)) for arm in means])
-        levels = (f"{arm.mean():.2f}" for arm in means)
+        settings = [study_pairs.both_groups(runs, setup, setting, "area") for setting in setup.settings]
+        seeds, scores = in_common([group for groups in zip(*settings, strict=True) for group in groups])
+        means = scores.reshape(2, len(settings), len(seeds)).mean(axis=1)
+        pair = study_pairs.in_pairs([dict(zip(seeds, group, strict=True)) for group in means])
+        levels = (f"{group.mean():.2f}" for group in means)
         rows.append((SETUPS[setup.name], len(pair), *levels, estimate(pair.difference, "+.2f")))
         pairs.append(pair)
     head = "| set-up | seeds | touch | no touch | difference | p | p, Holm |"
@@ -223,9 +229,9 @@ def in_common(by_group: Sequence[BySeed]) -> tuple[list[int], Array]:
 def learned(places: dict[str, Place]) -> None:
     """Print how far some groups of runs learned, over the seeds that all of them have."""
     selected = []
-    for name, setup_name, cell, arm in places.values():
+    for name, setup_name, setting, group in places.values():
         setup, runs = load_setup(name, setup_name)
-        selected.append(study_pairs.runs_of(runs, setup, cell, arm))
+        selected.append(study_pairs.runs_of(runs, setup, setting, group))
     seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected))
     selected = [[run for run in runs if run.run.seed in seeds] for runs in selected]
     areas, finals = (study_pairs.scored(score, *selected) for score in ("area", "final"))
@@ -313,31 +319,30 @@ def holm(pairs: Iterable[Pairs]) -> Sequence[float]:
 
 
 def mean(values: Iterable[float], form: str = ".2f") -> str:
-    """With its interval over runs, or over differences within pairs."""
-    found = np.array(list(values))
-    return (
-        estimate(statistics.mean(found, study_pairs.resamples(len(found))), form) if len(found) else ""
-    )
+    """Return a mean with its interval over runs, or over differences within pairs."""
+    scores = np.array(list(values))
+    if not len(scores):
+        return ""
+    return estimate(statistics.mean(scores, study_pairs.resamples(len(scores))), form)
 
 
 def paired(a: list[Record], b: list[Record], score: str = "area") -> study_pairs.Pairs:
-    """The runs of both that have the same seed, by a score."""
+    """Return the runs of both groups that have the same seed, by a score."""
     return study_pairs.in_pairs(study_pairs.scored(score, a, b))
 
 
-def estimate(found: Estimate, form: str) -> str:
-    """A number with its interval."""
-    return interval(*found, form, " to ").replace("-", "−")
+def estimate(value: Estimate, form: str) -> str:
+    """Return a number with its interval, as text."""
+    return interval(*value, form, " to ").replace("-", "−")
 
 
 def number(value: float, form: str) -> str:
-    """With a minus sign, as `estimate` has it."""
+    """Return a number with a minus sign, as `estimate` has it."""
     return f"{value:{form}}".replace("-", "−")
 
 
 def draw(folder: Path) -> None:
-    """Learning curves where touch decides (study.png), and what each layout reaches where they decide
-    (study_layouts.png)."""
+    """Draw learning curves where touch decides, and what each layout reaches where places decide."""
     pictures = {
         "study": (_curves, "handover", 3, "MPL hand in MuJoCo, PPO, layout 2, 30,000 steps"),
         "study_layouts": (_layouts, "handover_fingers", 2, "MPL hand in MuJoCo, PPO, 30,000 steps"),
@@ -350,11 +355,11 @@ def draw(folder: Path) -> None:
         picture.savefig(folder / f"{name}.png", dpi=style.DPI, metadata={"Software": None})
 
 
-def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
-    """Every run thin, their mean thick."""
+def _curves(axes: Axes, study: Study, all_runs: list[Record]) -> None:
+    """Draw every run thin, their mean thick."""
     setup = study.setups[0]
     for touch in setup.groups[:2]:
-        runs = [one.curve for one in study_pairs.runs_of(found, setup, setup.settings[0], touch)]
+        runs = [one.curve for one in study_pairs.runs_of(all_runs, setup, setup.settings[0], touch)]
         steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
         curves = np.array([np.interp(steps, *run) for run in runs])
         axes.plot(steps, curves.T, color=COLOURS[touch], lw=0.8, alpha=0.6)
@@ -366,14 +371,14 @@ def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
-def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
-    """Success over the last tenth, each run and their mean."""
+def _layouts(axes: Axes, study: Study, all_runs: list[Record]) -> None:
+    """Draw success over the last tenth, of each run and their mean."""
     (setup,) = study.setups
-    labels = [label(cell) for cell in setup.settings]
-    for arm, (touch, aside) in enumerate(zip(setup.groups, (-0.13, 0.13), strict=True)):
+    labels = [label(setting) for setting in setup.settings]
+    for group, (touch, aside) in enumerate(zip(setup.groups, (-0.13, 0.13), strict=True)):
         colour, named = COLOURS[touch], style.ROLES[touch]
-        for place, cell in enumerate(setup.settings):
-            rates = list(study_pairs.both_groups(found, setup, cell, "final")[arm].values())
+        for place, setting in enumerate(setup.settings):
+            rates = list(study_pairs.both_groups(all_runs, setup, setting, "final")[group].values())
             x, is_first = place + aside, place == 0
             axes.plot(
                 [x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0, clip_on=False,
@@ -395,7 +400,7 @@ def tables(*rows: tuple[Any, ...]) -> dict[str, partial[None]]:
 
 
 TABLES = tables(
-    ("study arms", groups),
+    ("study groups", group_means),
     ("study worth", worth),
     ("study fingers", layouts, "handover_fingers"),
     ("study palm", layouts, "handover_layouts"),

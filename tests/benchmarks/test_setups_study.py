@@ -61,7 +61,7 @@ def test_tables_say_what_was_put_in(told, study, monkeypatch):
     row = told(setups_study.show_layouts)["Allegro Hand, PyBullet, DDPG+HER"]
     assert row[-3] == "+0.10"
     assert row[-1] == "yes"
-    assert told(setups_study.show_chosen)["layout 2"][0].startswith("+0.15 (+0.1")
+    assert told(setups_study.show_chosen)["layout 2"][1].startswith("+0.15 (+0.1")
     concordance, by_setup, by_hand = told(setups_study.show_order)["mean over the run"]
     assert (concordance, by_setup) == ("1.00", "< 0.001")
     assert float(by_hand) == pytest.approx(1 / 576, abs=0.001)
