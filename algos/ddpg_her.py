@@ -36,7 +36,7 @@ from .policy import (
     on_cpu,
 )
 from .replay import Batch, GoalObs, Replay
-from .rollout import PlayEpisode, discounted, play_episodes, summary
+from .rollout import PlayEpisode, largest_return, play_episodes, summary
 
 CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
 REPLAY_P = 0.8  # paper
@@ -145,11 +145,6 @@ def td_targets(
     return (
         values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
     )
-
-
-def largest_return(rewards: Sequence[float], gamma: float) -> float:
-    """Return the largest discounted return, without its sign, from any step to the episode's end."""
-    return max([0.0, *map(abs, discounted(rewards, gamma))])
 
 
 class Exploration:
@@ -479,8 +474,7 @@ class DDPGHER(Learner):
         scale = float(max(self.worst, self.best, *largest)) / of_ones
         if scale > self.reward_scale:
             for critic in (self.critic, self.target_critic):
-                for values in critic.linears[-1].parameters():
-                    values.mul_(self.reward_scale / scale if self.reward_scale else 1.0)
+                critic.scale_outputs(self.reward_scale / scale or 1.0)
             self.reward_scale = scale
 
     # -- saving ------------------------------------------------------------------------------

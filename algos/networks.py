@@ -61,6 +61,12 @@ class MLP(nn.Sequential):
         super().__init__(*layers)
         self.linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
 
+    @torch.no_grad()
+    def scale_outputs(self, factor: float) -> None:
+        """Multiply what the last layer returns by `factor`, through its weights and bias."""
+        for values in self.linears[-1].parameters():
+            values.mul_(factor)
+
 
 def _spawn(generator: torch.Generator) -> torch.Generator:
     """Return a separate generator: how much is drawn from it does not move the first one."""

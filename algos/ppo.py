@@ -39,6 +39,7 @@ from .rollout import (
     PlayEpisode,
     discounted,
     finite,
+    largest_return,
     play_steps,
     require_transitions,
     summary,
@@ -96,6 +97,9 @@ class PPOConfig:
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
     all, so that together they count as much as 24 normalised inputs, however many they are; each:
     every one normalised by itself."""
+    normalise_rewards: bool = False
+    """Divide rewards by a running scale, so that the largest return so far counts as 1. The critic's
+    learning rate then means the same, whatever unit rewards have."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """How a time limit is treated. bootstrap: the return continues with the critic's value of the last
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100."""
@@ -234,7 +238,7 @@ class PPO(Learner):
             "failure_share",
             "failures",
         ),
-        *("lowest_reward", "highest_reward"),
+        *("reward_scale", "lowest_reward", "highest_reward"),
     )
 
     def build(self, generator: torch.Generator) -> None:
@@ -263,6 +267,7 @@ class PPO(Learner):
         self.before_update: dict[str, Any] = {}
         self.failure, self.failure_share = 0.0, 1.0
         self.failures = 0  # episodes since then, all with that return
+        self.reward_scale = 0.0 if config.normalise_rewards else 1.0
         self.lowest_reward = self.highest_reward = 0.0  # of all so far, 0 included
 
     def describe(self) -> str:
@@ -430,6 +435,8 @@ class PPO(Learner):
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
         config, episodes = self.config, self._episodes
+        self._update_reward_scale()
+        scale = self.reward_scale or 1.0
         views = [obs for episode in episodes for obs in episode.obs]
         all_obs = FlatInputs(self.obs_stats.scaling()).stack(views).to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).cpu().double().numpy()
@@ -442,11 +449,11 @@ class PPO(Learner):
         for episode, values in zip(episodes, by_episode, strict=True):
             goes_on = self._goes_on(episode)
             last_value = np.clip(values[-1], lowest, highest) if goes_on else 0.0
-            rewards = np.array(episode.rewards)
+            rewards = np.array(episode.rewards) / scale
             advantages.append(
                 gae(rewards, values[:-1], last_value, config.gamma, config.gae_lambda)
             )
-        self._warn_of_divergence(all_values)
+        self._warn_of_divergence(all_values * scale)
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
         obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
@@ -457,6 +464,18 @@ class PPO(Learner):
         )
         log_prob = self.gaussian.log_prob(actions, self.actor(obs))
         return Transitions(obs, actions, log_prob, normalised, target)
+
+    def _update_reward_scale(self) -> None:
+        """Let the scale of rewards grow to the largest return so far.
+
+        The critic's last layer shrinks as it grows, so that values in the environment's unit stay
+        (van Hasselt et al. 2016).
+        """
+        gamma = self.config.gamma
+        largest = max(largest_return(e.rewards, gamma) for e in self._episodes)
+        if self.config.normalise_rewards and largest > self.reward_scale:
+            self.critic.scale_outputs(self.reward_scale / largest or 1.0)
+            self.reward_scale = largest
 
     def _warn_of_divergence(self, values: Array) -> None:
         """Warn where the critic's values (n,) are beyond any return of the rewards seen so far."""

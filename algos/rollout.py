@@ -226,6 +226,11 @@ def discounted(values: Sequence[float], factor: float) -> list[float]:
     return sums
 
 
+def largest_return(rewards: Sequence[float], gamma: float) -> float:
+    """Return the largest discounted return, without its sign, from any step to the episode's end."""
+    return max([0.0, *map(abs, discounted(rewards, gamma))])
+
+
 def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
     """Return the episodes that have transitions; DivergenceError when there is none."""
     usable = [episode for episode in episodes if len(episode)]

@@ -17,11 +17,11 @@ from tactilerl.algos.ddpg_her import (
     DDPGHERConfig,
     Exploration,
     GoalInputs,
-    largest_return,
     td_targets,
 )
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.rollout import largest_return
 from tactilerl.envs import vector
 from tactilerl.runs import training
 from tactilerl.runs.policies import load_policy, save_policy

@@ -152,6 +152,25 @@ class TestBatch:
                 expected += [*(advantages + values[:-1])]
             np.testing.assert_allclose(ppo._batch().returns.numpy(), expected, rtol=1e-4)
 
+    def test_normalised_rewards_mean_the_same_in_any_unit(self):
+        learners = []
+        for unit in (1.0, 1024.0):  # a power of two, so that floats are exact
+            workers = scripted(length=7, reward=lambda rng, unit=unit: unit * rng.standard_normal())
+            learners.append(trained(make_ppo(workers, normalise_rewards=True), 3))
+        one, other = learners
+        assert other.reward_scale == 1024.0 * one.reward_scale
+        assert parameters(one.critic).tolist() == parameters(other.critic).tolist()
+        assert parameters(one.actor).tolist() == parameters(other.actor).tolist()
+
+    def test_values_stay_when_the_scale_of_rewards_grows(self):
+        ppo = trained(make_ppo(scripted(length=7), normalise_rewards=True), 1)
+        obs, scale = torch.ones(4, 3), ppo.reward_scale
+        values = scale * ppo.critic(obs)
+        ppo._episodes[0].rewards[-1] = -10.0 * scale
+        ppo._update_reward_scale()
+        assert ppo.reward_scale >= 9.0 * scale
+        torch.testing.assert_close(ppo.reward_scale * ppo.critic(obs), values)
+
     def test_whole_episodes_until_enough_steps(self):
         ppo = make_ppo(scripted(length=7), steps_per_epoch=15)
         seen = ppo.collect()
