@@ -189,11 +189,6 @@ class TestLearner:
         assert np.array_equal(policy.act(obs), before)
         assert not np.array_equal(agent.act(obs), before)
 
-    def test_workers_and_makers(self):
-        agent = tactilerl.PPO(lambda: tactilerl.make("lqr"), workers=2, **PPO)
-        assert agent.learn(1).env_steps == 120
-        agent.close()
-
     @pytest.mark.parametrize("said", [True, False])
     def test_success_is_read_by_its_other_name(self, said):
         result = tactilerl.evaluate(short(), Short(info={"success": said}), episodes=2)
@@ -222,8 +217,10 @@ class TestLearner:
     def test_what_computes_beside_has_them_too(self):
         """Or results would depend on the workers."""
         torch.set_num_threads(2)
-        learner = tactilerl.PPO("lqr", workers=2, **PPO)._learner
-        assert learner.in_two_threads(int, torch.get_num_threads)[1] == 1
+        agent = tactilerl.PPO(lambda: tactilerl.make("lqr"), workers=2, **PPO)
+        assert agent._learner.in_two_threads(int, torch.get_num_threads)[1] == 1
+        assert agent.learn(1).env_steps == 120
+        agent.close()
 
 
 class TestTrain:
@@ -427,7 +424,6 @@ assert "torch" not in sys.modules
     @pytest.mark.parametrize(
         ("code", "name"),
         [
-            ("import tactilerl", "tactilerl/LQR-v0"),
             ("import tactilerl; gymnasium.register_envs(tactilerl.envs)", "tactilerl/LQR-v0"),
             ("", "tactilerl.envs:tactilerl/LQR-v0"),
         ],

@@ -69,9 +69,8 @@ def test_the_cpu_build_is_taken_where_its_index_answers(install, served):
     assert installed == ["torch-2.0+cpu.dist-info"]
 
 
-@pytest.mark.parametrize("index", ["{served}/nothing", "no address"])
-def test_cuda_is_refused_with_one_line(install, served, index):
-    result, installed = install(index.format(served=served))
+def test_cuda_is_refused_with_one_line(install, served):
+    result, installed = install(f"{served}/nothing")
     assert result.returncode == 1
     assert not installed
     assert result.stderr.count("\n") == 1
@@ -97,7 +96,8 @@ def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path, in_tmp
     offline = ["--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*pip, "wheel", *offline, "--wheel-dir", tmp_path, str(ROOT)], check=True)
     (wheel,) = tmp_path.glob("tactilerl-*.whl")
-    subprocess.run([*pip, "install", *offline, "--target", tmp_path / "site", str(wheel)], check=True)
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
     shipped = {".py", ".toml", ".typed"}
     expected = {
         path.relative_to(ROOT).as_posix().removeprefix("tactilerl/")

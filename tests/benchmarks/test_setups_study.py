@@ -38,16 +38,6 @@ def test_every_set_up_has_its_layouts_and_no_touch(study, monkeypatch):
     assert [each.shape for each in setups_study.gains().values()] == [(4, 3)] * 9
 
 
-def test_set_ups_without_two_whole_seeds_are_left_out(study, monkeypatch):
-    monkeypatch.setattr(setups_study, "load", lambda name: study)
-    found = setups_study.learned("area")
-    del found[setups_study.SetUp("ppo", "mpl", "mujoco")]["layout 2"]
-    del found[setups_study.SetUp("ppo", "mpl", "pybullet")]["no touch"][1]
-    monkeypatch.setattr(setups_study, "learned", lambda score: found)
-    shapes = [each.shape for each in setups_study.gains().values()]
-    assert shapes == [(4, 2), *[(4, 3)] * 7]
-
-
 def test_tables_say_what_was_put_in(told, study, monkeypatch):
     order = {"8 chosen": 0.3, "layout 1": 0.2, "layout 2": 0.15, "layout 5": 0.1, "no touch": 0.0}
     found = {
@@ -83,18 +73,3 @@ def test_are_chosen_taxels_within_the_margin(ahead, said, other):
     at_least, is_within = setups_study.compared(level + ahead, [level + other, level])
     assert is_within == said
     assert at_least < np.mean(ahead)
-
-
-def test_what_predicts_the_order(told, monkeypatch):
-    reached = {"layout 1": 0.4, "layout 2": 0.3, "layout 5": 0.2, "8 chosen": 0.5}
-    row = {name: {"taxels": -value, "success": value, "best": {"success": 1 - value}}
-           for name, value in reached.items()}  # fmt: skip
-    monkeypatch.setattr(
-        setups_study, "data", lambda name: {"hands": dict.fromkeys(("mpl", "shadow", "allegro"), row)}
-    )
-    of = {name: dict.fromkeys(range(3), value) for name, value in reached.items()}
-    found = dict.fromkeys(setups_study.learned("area"), of | {"no touch": dict.fromkeys(range(3), 0.1)})
-    monkeypatch.setattr(setups_study, "learned", lambda score: found)
-    rows = told(setups_study.show_predictors)
-    values = [float(correlation.replace("−", "-")) for correlation, _ in rows.values()]
-    assert np.allclose(values, [-1, 1, -1])

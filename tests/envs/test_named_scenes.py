@@ -49,21 +49,6 @@ def test_flags_change_what_a_scene_says(capsys):
     assert main(["train", "--resume", "run"]) == 0
 
 
-def test_a_study_of_a_scene(trained_here):
-    Path("s.toml").write_text(
-        'name = "s"\n[compare]\ntouch = ["on", "off"]\n'
-        '[grid]\ntouch = ["on", "off"]\nseed = 10000\n'
-        '[setups.a]\nscene = "handover"\nlayout = 6\n'
-        "steps_per_epoch = 60\nn_passes = 1\ntotal_timesteps = 1\n"
-    )
-    assert main(["study", "run", "s.toml", "--out", "s", "--jobs", "1"]) == 0
-    configs = [json.loads(path.read_text()) for path in Path("s/runs").glob("*/config.json")]
-    assert {config["scene"]["touch"] for config in configs} == {"on", "off"}
-    for config in configs:
-        assert (config["scene"]["task"], config["scene"]["layout"]) == ("handover", "6")
-        assert config["learner"]["orthogonal_init"] is True
-
-
 @pytest.mark.pybullet
 def test_another_hand_and_simulator_in_the_same_scene():
     env = tactilerl.make("shadow", scene="handover", simulator="pybullet", layout=4)

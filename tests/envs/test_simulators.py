@@ -1,6 +1,5 @@
 """Both hands in both simulators: the same mechanism, repeatable runs, clean ends."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from tactilerl.envs.grasp import GraspEnv, setup
 from one_line import fails_with
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
+PAIRS = [("shadow", "mujoco"), ("mpl", "pybullet"), ("allegro", "mujoco")]
 
 
 def made(simulator, hand):
@@ -83,13 +83,6 @@ class TestKinematics:
 
 
 class TestPhysics:
-    def test_the_hand_hangs_still_without_touching_anything(self, simulator, hand):
-        simulator = made(simulator, hand)
-        start = simulator.scene.hand.start_positions()
-        simulator.reset(start, np.array([0.4, 0.4, 0.025]), 0.0)
-        simulator.step(simulator.scene.hand.start_targets(), 240)
-        assert np.abs(simulator.state().joint_positions - start).max() < 0.02
-
     @pytest.mark.parametrize("hand", [*hands.HANDS, GRIPPER])
     def test_scripted_grasps_hold_and_the_taxels_feel_them(self, simulator, hand, read_here):
         env = GraspEnv(hand, setup(hand, simulator=simulator, layout="1"))
@@ -119,6 +112,7 @@ class TestPhysics:
         position = env.simulator.state().object_position
         np.testing.assert_allclose(position, [0, 0, size[-1] / 2], atol=1e-3)
 
+    @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
     def test_over_a_higher_object_the_hand_starts_higher(self, simulator, hand):
         """With nothing touched, as low over its top as over the cube's."""
         heights = []
@@ -133,23 +127,24 @@ class TestPhysics:
     @pytest.mark.parametrize(
         ("kind", "size"),
         [
-            *[(kind, (0.08,)) for kind in objects.KINDS],
+            ("sphere", (0.08,)),
             ("box", (0.0501,)),
             ("box", (0.08, 0.08, 0.01)),
             ("cylinder", (0.08, 0.15)),
         ],
     )
+    @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
     def test_over_a_wider_object_the_hand_starts_free_of_it(self, hand, simulator, kind, size):
         env = envs.make(hand, simulator=simulator, object=kind, object_size=size)
-        for seed in range(20):
+        for seed in range(10):
             env.reset(seed=seed)
             assert gap(env) > 5e-3
 
-    @pytest.mark.parametrize("kind", objects.KINDS)
-    def test_on_a_wide_object_the_hand_comes_down_as_on_a_small_one(self, hand, simulator, kind):
+    @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
+    def test_on_a_wide_object_the_hand_comes_down_as_on_a_small_one(self, hand, simulator):
         lowest = []
         for size in (0.05, 0.08):
-            env = envs.make(hand, simulator=simulator, object=kind, object_size=size, task="reach-goal")
+            env = envs.make(hand, simulator=simulator, object_size=size, task="reach-goal")
             env.reset(seed=0)
             gaps = []
             for _ in range(15):
@@ -162,11 +157,6 @@ class TestPhysics:
 
 @pytest.mark.pybullet
 class TestPyBullet:
-    def test_it_is_imported_quietly(self):
-        code = "from tactilerl import envs; envs.make('mpl', simulator='pybullet')"
-        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-        assert b"pybullet build time" not in done.stdout + done.stderr
-
     def test_a_motor_takes_its_error_back_at_the_rate_of_the_models_servo(self):
         env = GraspEnv("mpl", setup("mpl", task="reach-goal"))
         env.reset(seed=0)

@@ -97,6 +97,9 @@ class TestCheckpoint:
     def test_experience_of_something_else_is_refused(self, her, capsys, name, value):
         edit(PART, lambda content: content.update({name: value}))
         fails_with(capsys, [*RESUME, "--total-timesteps", "200"], PART.name, "damaged")
+        PART.unlink()
+        fails_with(capsys, RESUME, f"{PART.name}: missing")
+        assert main(["evaluate", "run", "--episodes", "1"]) == 0  # which needs none of it
 
     def test_a_policy_is_no_larger_than_its_file(self, ppo, capsys):
         content = json.loads(CONFIG.read_text())
@@ -112,7 +115,7 @@ class TestCheckpoint:
         for path, kind in ((CHECKPOINT, store.CHECKPOINT), (PART, store.PART)):
             good, found = path.read_bytes(), 0
             whole = flat(store.read_tensors(path, "checkpoint", 3, kind))
-            for _ in range(60):
+            for _ in range(25):
                 bad, at = bytearray(good), rng.randrange(8 * len(good))
                 bad[at // 8] ^= 1 << at % 8
                 path.write_bytes(bad)
@@ -120,7 +123,7 @@ class TestCheckpoint:
                     assert flat(store.read_tensors(path, "checkpoint", 3, kind)) == whole, at
                 except InputError:
                     found += 1
-            assert found > 20
+            assert found > 8
             path.write_bytes(good)
 
     @pytest.mark.parametrize(

@@ -109,22 +109,6 @@ def test_in_a_handover_touch_decides(capsys):
     assert said["verdict"].startswith("Touch closes 0.")
 
 
-def test_a_gate_of_faulty_taxels(capsys):
-    few = ["--starts", "6", "--search", "1", "--workers", "1", "--json"]
-    faults = ["--taxel-dead", "1", "--taxel-delay", "1"]
-    assert main(["gate", "--scene", "handover", *faults, *few]) == 0
-    rates = {row["name"]: row["rate"] for row in json.loads(capsys.readouterr().out)["reflexes"]}
-    assert rates["touch"] <= 0.5 < rates["sighted"]
-
-
-def test_a_table_and_a_sentence(capsys):
-    few = ["--starts", "1", "--search", "1", "--workers", "1"]
-    assert main(["gate", "--scene", "dark_mpl", *few]) == 0
-    text = capsys.readouterr().out
-    assert "a fixed time has passed" in text
-    assert "the object is seen to be in place" in text
-
-
 def test_several_layouts():
     found = flags.several(["--json", "--layout", "1", "3", "--seed", "1"], "--layout")
     assert found == (["1", "3"], ["--json", "--seed", "1", "--layout", "1"])

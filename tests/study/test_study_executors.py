@@ -20,7 +20,7 @@ from tiny_study import TINY, learned, trained, write
 
 distributed = pytest.importorskip("distributed")
 needs_jobqueue = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="no dask-jobqueue")
-LONG = TINY.replace("= 200", "= 3000")
+LONG = TINY.replace("= 200", "= 2000")
 PATIENCE = 300  # s
 
 
@@ -63,6 +63,7 @@ def test_a_worker_that_is_killed_costs_no_bit(tmp_path, on_local):
     assert sum("resumed" in log for log in logs) == 1
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_killed_costs_no_bit(tmp_path, on_local):
     """It is started again, at the same place and with new workers, while `study run` waits."""
     with socket.socket() as free:

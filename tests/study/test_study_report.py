@@ -1,13 +1,10 @@
 """Reports of studies: right numbers, the same bytes for the same records, seen in a browser."""
 
 import gzip
-import html
 import io
 import json
-import os
 import re
 import shutil
-import subprocess
 import sys
 import tarfile
 from pathlib import Path
@@ -16,7 +13,7 @@ import numpy as np
 import pytest
 from tactilerl import study as package
 from tactilerl.commands.cli import main
-from tactilerl.study import analysis, pairs, records, report
+from tactilerl.study import analysis, records, report
 from tactilerl.study.records import StudyFiles
 
 from one_line import fails_with, printed
@@ -24,18 +21,6 @@ from study_records import fail, interrupt, make_study
 
 ROOT = Path(__file__).parents[2]
 RESAMPLES = 500
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-MEASURE = """<script>
-addEventListener("load", () => {
-  const found = {overflow: document.documentElement.scrollWidth - innerWidth, width: innerWidth};
-  found.figures = [...document.querySelectorAll("figure")].map(figure => {
-    const drawn = [...figure.querySelectorAll("img, table")].map(one => one.getBoundingClientRect());
-    const rows = figure.querySelectorAll("tbody tr").length;
-    return [figure.id, Math.min(...drawn.map(box => box.width)), rows];
-  });
-  console.log("FOUND" + JSON.stringify(found) + "END");
-});
-</script></body>"""
 
 
 @pytest.fixture(scope="module")
@@ -104,27 +89,6 @@ class TestNumbers:
         found = analysis.analyse(*records.load(folder.path), 100).setups[0].verdicts[lost.setting]
         assert found.pairs.seeds == [0, 2]
         assert "2 of 3 pairs" in reported(capsys, folder.path)
-
-    def test_a_group_is_its_runs(self, folder, result):
-        group = result.setups[1].groups["layout 2", "on"]
-        _, own = records.load(folder.path)
-        place = own, result.setups[1].setup, "layout 2"
-        arms = [pairs.runs_of(*place, arm) for arm in ("on", "off")]
-        expected = list(pairs.scored("converged", *arms)[0].values())
-        assert group.seeds == [0, 1, 2, 3]
-        np.testing.assert_allclose(group.scores["converged"], expected)
-        place = {"Setting": "layout 2", "Group": "touch"}
-        row = next(r for r in rows(result, "mujoco_measures") if r | place == r)
-        assert row["Runs"] == "4"
-        assert row["Converged success"].startswith(f"{np.mean(expected):.2f} [")
-
-    def test_curves_are_compared_at_steps_that_all_runs_have(self, result):
-        one = result.setups[0]
-        for record in one.records:
-            steps, _ = record.curve
-            assert steps[0] <= one.steps[0]
-            assert one.steps[-1] <= steps[-1]
-        assert all(group.curves.shape == (4, 25) for group in one.groups.values())
 
 
 class TestFiles:
@@ -233,16 +197,6 @@ class TestWarnings:
         rewrite(path, f"runs/{run.name}/progress.csv", lambda _: text)
         assert StudyFiles(path).record(run).state == "interrupted"
 
-    def test_a_damaged_configuration_costs_a_run_and_no_more(self, tmp_path, capsys):
-        folder = make_study(tmp_path / "s", n_seeds=1)
-        path = folder.run_dir(folder.study().runs()[0]).config_file
-        text, old = path.read_text(), '"total_timesteps": 30000'
-        assert old in text
-        for value in ('"abc"', "1e999", "[1]", "null", "[" * 100_000):
-            path.write_text(text.replace(old, f'"total_timesteps": {value}'))
-            assert main(["study", "status", str(folder.path), "--json"]) == 0
-        assert "Of 12 runs 1 interrupted" in reported(capsys, folder.path)
-
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
         (tmp_path / "study.json").write_bytes(content)
@@ -255,33 +209,6 @@ class TestWarnings:
         monkeypatch.delitem(sys.modules, "tactilerl.study.report")
         monkeypatch.delattr(package, "report")
         fails_with(capsys, ["study", "report", tmp_path], "pip install 'tactilerl[study]'")
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
-@pytest.mark.parametrize("width", [400, 1600])
-def test_a_browser_shows_every_table_and_figure(result, written, tmp_path, width):
-    content = html.escape(written.read_text().replace("</body>", MEASURE))
-    page = tmp_path / "page.html"  # a window cannot be as narrow as a frame in it
-    page.write_text(f'<!doctype html><iframe width="{width}" height="900" srcdoc="{content}"></iframe>')
-    switches = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
-    switches += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
-    switches += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1800,1000"]
-    switches += ["--enable-logging=stderr", f"--screenshot={tmp_path / 'page.png'}"]
-    shown = subprocess.run(
-        [CHROMIUM, *switches, page.as_uri()], env=os.environ | {"HOME": str(tmp_path)},
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    console = [line for line in shown.stderr.splitlines() if "CONSOLE" in line]
-    assert len(console) == 1, console
-    found = json.loads(re.search(r"FOUND(.*)END", console[0])[1])
-    assert found["overflow"] <= 0
-    assert found["width"] == width
-    expected = {f"table-{t.name}" for t in parts(result, report.Table)}
-    expected |= {f"figure-{p.name}" for p in parts(result, report.Picture)}
-    assert {name for name, _, _ in found["figures"]} == expected
-    for name, drawn_width, rows in found["figures"]:
-        assert drawn_width > 100, name
-        assert rows > 0 or name.startswith("figure-"), name
 
 
 class TestForReaders:

@@ -65,11 +65,7 @@ class TestRun:
         ("old", "new", "words"),
         [
             ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
-            (
-                "total_timesteps = 200",
-                "total_timesteps = 100",
-                "found 100, allowed 200",
-            ),
+            ("total_timesteps = 200", "total_timesteps = 100", "found 100, allowed 200"),
             ('"tiny"', '"other"', "holds the study 'tiny', not 'other'"),
         ],
     )
@@ -122,12 +118,10 @@ class TestBeforeItStarts:
 
 
 class TestFailures:
-    @pytest.mark.slow
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
-        self, tmp_path, monkeypatch, capsys
+        self, tmp_path, monkeypatch, capsys, trained_here
     ):
         (tmp_path / "broken.py").write_text(BROKEN)
-        monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.setattr(plugins, "imported", [])
         text = 'name = "x"\n[setups.x]\nenv = "broken:Broken-v0"\nsteps_per_epoch = 40\nn_passes = 1\n'
@@ -251,17 +245,6 @@ class TestSharing:
         assert [log.count("epoch    1") for log in logs] == [1] * 2
 
 
-@pytest.mark.slow
-def test_killed_once_and_run_again_the_tables_are_the_same(undisturbed, tmp_path):
-    command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "2"]
-    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
-    time.sleep(9)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert subprocess.run(command, stdout=subprocess.DEVNULL, timeout=600).returncode == 0
-    assert learned(tmp_path / "out") == learned(undisturbed)
-
-
 def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
     over = threading.Event()
 
@@ -295,9 +278,7 @@ def descendants(pid):
     "number", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
 )
 def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
-    text = TINY.replace("= 200", "= 100_000_000").replace(
-        "polyak = [0.9, 0.95]", "polyak = [0.95, 0.9]"
-    )
+    text = TINY.replace("= 200", "= 100_000_000")
     command = [*LAUNCH, str(write(tmp_path, text)), "--out", str(tmp_path / "out"), "--jobs", "1"]
     process = subprocess.Popen([*command, "--ranks-per-run", "2"], stdout=subprocess.DEVNULL)
     until = time.monotonic() + 300
