@@ -44,11 +44,6 @@ def test_all_of_them_train_together_and_are_evaluated():
     env.close()
 
 
-def test_a_simulator_in_env_check(capsys):
-    assert main(["env", "--simulator", "saturn", "--layout", "5", "--check"]) in (0, 1)
-    assert "saturn" in capsys.readouterr().out
-
-
 def test_what_is_not_registered_is_refused(capsys):
     words = "simulator: found 'mars', allowed: mujoco, pybullet, saturn"
     fails_with(capsys, ["gate", "--simulator", "mars"], words)

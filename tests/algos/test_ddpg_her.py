@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import math
-import pickle
 import re
 import warnings
 
@@ -221,12 +220,6 @@ class TestUnitOfRewards:
         of_ones = sum(0.8**t for t in range(5))
         assert learner.reward_scale == pytest.approx(50 / of_ones)
 
-    def test_losses_are_means_over_the_ranks(self):
-        learner, seen = trained(1), []
-        learner.comm.size = 2
-        learner.comm.sum = lambda values: seen.append(values) or values + 1.0
-        assert learner.update()["critic_loss"] == pytest.approx((seen[-1][0] + 1.0) / 2)
-
 
 class TestFallsOverTheRun:
     """100 steps are half over after five cycles of two episodes of 5 steps."""
@@ -284,20 +277,6 @@ def test_a_policy_acts_without_the_achieved_goal():
 
 
 class TestExploration:
-    def test_rows_are_random_or_noisy(self):
-        """In the first step and in later ones."""
-        rng = np.random.default_rng(0)
-        base, explore = np.full((20_000, 4), 0.1, np.float32), Exploration(rng, 0.2, 0.3, 8.0)
-        for got in [explore(base) for _ in range(5)]:
-            assert np.abs(got).max() <= 1.0
-            # 30 % uniform with standard deviation 1/sqrt(3), 70 % Gaussian with .2
-            assert got.mean() == pytest.approx(0.7 * 0.1, abs=0.01)
-            second = 0.3 / 3 + 0.7 * (0.04 + 0.01)
-            assert np.square(got).mean() == pytest.approx(second, rel=0.02)
-            far = (np.abs(got - 0.1) > 0.8).any(axis=1)  # 4 sigma: only random rows
-            some = 1 - 0.8**4  # of four uniform entries one is below -.7 or above .9
-            assert far.mean() == pytest.approx(0.3 * some, abs=0.02)
-
     @pytest.mark.parametrize("hold", [1.0, 8.0])
     def test_random_actions_are_held_for_a_geometric_number_of_steps(self, hold):
         """Of mean `hold`: another random action may follow at once, and is another hold."""
@@ -325,24 +304,6 @@ class TestExploration:
             drawn = again.uniform(-1.0, 1.0, (1, 3)).astype(np.float32)
             expected = np.where(is_random, drawn, np.clip(noisy, -1.0, 1.0))
             np.testing.assert_array_equal(explore(actions), expected)
-
-    def test_actions_reach_the_environment_in_its_own_range(self):
-        learner = make(random_eps=1.0)
-        learner.collect()
-        actions = np.stack(learner.workers.env.actions)
-        assert np.abs(actions).max() <= 2.0
-        assert np.abs(actions).max() > 1.2
-        stored = learner.replay.sample(500, 0.8).action
-        assert np.abs(stored).max() <= 1.0
-
-    def test_a_policy_survives_pickling_and_the_next_update(self):
-        learner = trained()
-        obs, policy = learner.workers.env._obs(), pickle.loads(pickle.dumps(learner.policy()))
-        assert len(pickle.dumps(policy)) < 20_000
-        before = learner.policy().act(obs)
-        trained(1, learner)
-        np.testing.assert_array_equal(policy.act(obs), before)
-        assert not np.array_equal(learner.policy().act(obs), before)
 
 
 class TestUpdate:

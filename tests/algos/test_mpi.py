@@ -2,19 +2,17 @@
 
 import csv
 import json
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 import torch
 from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
 
+from one_line import fails_with
 from states import flat
 
 pytest.importorskip("mpi4py")
@@ -32,10 +30,6 @@ TOYS = {"ppo": TOY, "ddpg_her": REACH}
 def mpirun(args, ranks=2, timeout=400):
     command = [str(MPIRUN), "--oversubscribe", "-n", str(ranks), sys.executable, *args]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
-
-
-def tactilerl(*args):
-    return mpirun(["-m", "tactilerl", *args])
 
 
 # What three ranks do in one launch: reductions, minibatches, and commands, of which rank 0 refuses the
@@ -158,13 +152,12 @@ def test_bad_input_on_one_rank_ends_all(launched):
 
 @pytest.mark.parametrize("toy", TOYS)
 def test_another_number_of_ranks_is_refused(launched, toy, capsys):
-    assert (
-        main(["train", "--resume", str(launched[0] / f"{toy}_whole"), "--total-timesteps", "800"]) == 2
-    )
-    assert "ranks: found 1, the run was made with 3" in capsys.readouterr().err
+    run = launched[0] / f"{toy}_whole"
+    words = "ranks: found 1, the run was made with 3"
+    fails_with(capsys, ["train", "--resume", run, "--total-timesteps", "800"], words)
 
 
-# A goal environment with a fault: after 40 steps rank 1 sees what is not a number, or raises.
+# A goal environment with a fault: after 40 steps rank 1 sees what is not a number.
 FAULTY = """
 import os
 import gymnasium as gym
@@ -177,8 +170,6 @@ class Faulty(PointReachEnv):
         Faulty.calls += 1
         obs, *rest = super().step(action)
         if Faulty.calls > 40 and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
-            if os.environ["FAULT"] == "raise":
-                raise RuntimeError("the cable came off")
             obs["observation"] = obs["observation"] * np.nan
         return obs, *rest
 
@@ -186,57 +177,13 @@ gym.register("Faulty-v0", entry_point=Faulty)
 """
 
 
-@pytest.mark.parametrize("fault", ["nan", pytest.param("raise", marks=pytest.mark.slow)])
-def test_a_fault_on_one_rank_ends_all_with_the_reason(fault, monkeypatch):
+def test_a_fault_on_one_rank_ends_all_with_the_reason(monkeypatch):
     Path("faulty.py").write_text(FAULTY)
     monkeypatch.setenv("PYTHONPATH", str(Path.cwd()))
-    monkeypatch.setenv("FAULT", fault)
     args = ["faulty:Faulty-v0" if arg == "point-reach" else arg for arg in REACH]
-    started = time.monotonic()
-    result = tactilerl(*args, "--out", "run")
+    result = mpirun(["-m", "tactilerl", *args, "--out", "run"], timeout=100)
     assert result.returncode == 1
-    reason = {"nan": "observation of the environment is not finite", "raise": "the cable came off"}
-    assert reason[fault] in result.stderr
-    assert time.monotonic() - started < 60
-
-
-def start(*args):
-    """A run in the background that has written its first checkpoint."""
-    command = [str(MPIRUN), "--oversubscribe", "-n", "2", sys.executable, "-m", "tactilerl"]
-    process = subprocess.Popen([*command, *args, "--out", "run"], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not Path("run/checkpoint.pt").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return process
-
-
-def ranks_of(process):
-    """The ranks that mpirun started: Pythons below it that run our command."""
-    below = psutil.Process(process.pid).children(recursive=True)
-    return [p for p in below if "tactilerl" in p.cmdline() and "python" in p.name()]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
-def test_an_end_from_outside_ends_all_and_loses_nothing(how):
-    args = [*REACH, "--total-timesteps", "1000"]
-    process = start(*args)
-    ranks = ranks_of(process)
-    assert len(ranks) == 2
-    if how == "Ctrl-C":
-        process.send_signal(signal.SIGINT)
-    else:
-        ranks[1].kill()
-    _, errors = process.communicate(timeout=10)
-    assert process.returncode != 0
-    if how != "Ctrl-C":
-        assert "signal 9" in errors
-    _, alive = psutil.wait_procs(ranks, timeout=10)
-    assert not [rank for rank in alive if rank.status() != psutil.STATUS_ZOMBIE]
-    assert tactilerl("train", "--resume", "run").returncode == 0
-    assert tactilerl(*args, "--out", "whole").returncode == 0
-    whole, run = (torch.load(Path(p, "checkpoint.pt"), weights_only=True) for p in ("whole", "run"))
-    assert [flat(a) for a in whole["ranks"]] == [flat(b) for b in run["ranks"]]
+    assert "observation of the environment is not finite" in result.stderr
 
 
 @pytest.mark.parametrize(

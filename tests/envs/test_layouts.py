@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tactilerl.envs import hands, layouts
-from tactilerl.pictures.hand_map import LIT, TaxelMap, beyond, panels
+from tactilerl.pictures.hand_map import LIT, TaxelMap, beyond
 
 HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
@@ -166,24 +166,3 @@ CHOSEN = Path(__file__).resolve().parents[2] / "docs/data/chosen"
 def test_layouts_that_the_probe_chose_have_the_taxels_they_say(file):
     hand, _, number = file.stem.split("_")
     assert len(layouts.load(str(file)).place(hands.get(hand))) == int(number)
-
-
-def span(values):
-    """Whole mm up to which all of them reach, and the longest."""
-    low, high = (int(f(values) + 1e-6) for f in (min, max))
-    return f"±{low}" if low == high else f"±{low} to ±{high}"
-
-
-def test_the_guide_says_how_much_room_there_is(hand):
-    hand, cells = hands.get(hand), []
-    carried = [(s, p) for s, p in zip(hand.surfaces, panels(hand), strict=True) if s.bone]
-    for is_thumb in (False, True):
-        own = [(s.segment == "distal", p) for s, p in carried if (s.digit == "thumb") == is_thumb]
-        tips, others = ([p for is_tip, p in own if is_tip == wanted] for wanted in (True, False))
-        low, high = (int(min(ends) + 1e-6) for ends in ([-p.low for p in tips], [p.high for p in tips]))
-        ends, widths = (span([getattr(p, of) for p in ps]) for of, ps in
-                        (("high", others), ("half_width", tips + others)))  # fmt: skip
-        cells.append((f"−{low} to {high}", ends, widths))
-    row = " | ".join(f"{finger} (thumb: {thumb})" for finger, thumb in zip(*cells, strict=True))
-    guide = Path(__file__).parents[2] / "docs/guides/layouts.md"
-    assert f"Hand | {row} |" in guide.read_text(encoding="utf-8"), row

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, validation
 from tactilerl.envs.grasp import GraspEnv, setup
-from tactilerl.pictures import hand_map, places
+from tactilerl.pictures import hand_map
 from tactilerl.runs.store import RunDir
 
 from one_line import fails_with
@@ -163,16 +163,6 @@ class TestTaxelFiles:
             for each in (points, self.taxels.points)
         )
         assert found == wanted
-
-    def test_points_keep_their_place_through_a_layout_of_their_own(self):
-        hand = hands.get(GRIPPER)
-        points = layouts.Layout("points", "", (), tuple(self.taxels.points))
-        placed = points.place(hand)
-        assert placed.names == self.taxels.names
-        assert len(set(places.of(placed))) == len(placed)
-        again = layouts.of_taxels(placed, hand, "again").place(hand)
-        key = [sorted(map(tuple, taxels.positions.tolist())) for taxels in (again, placed)]
-        assert key[0] == key[1]
 
     def test_a_genesis_file_as_it_is_published(self, tmp_path):
         """Entries a link, probes in rows of a grid, which those of radius 0 fill up."""

@@ -15,7 +15,6 @@ import time
 import zipfile
 from pathlib import Path
 
-import filelock
 import pytest
 import torch
 from tactilerl import files, machine
@@ -266,21 +265,6 @@ class TestLock:
         first.send_signal(signal.SIGKILL)
         first.communicate()
         assert main(more) == 0
-
-    def test_a_new_run_holds_its_folder(self, monkeypatch):
-        seen = []
-
-        def append(run_dir, row):
-            ours = f"process {os.getpid()} on "
-            with pytest.raises(InputError, match=ours), files.locked(Path("new")):
-                pass
-            seen.append(row)
-
-        monkeypatch.setattr(RunDir, "append", append)
-        main([*PPO, "--total-timesteps", "1", "--out", "new"])
-        assert len(seen) == 1
-        with filelock.FileLock("new/.lock", blocking=False):
-            pass
 
 
 class TestModules:

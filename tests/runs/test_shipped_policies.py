@@ -71,17 +71,3 @@ def test_a_run_ships_without_what_only_training_needs(run, ship, tmp_path, capsy
     )
     assert len({found["mean_return"] for found in evaluated}) == 1
     assert contents(run) == before
-
-
-@pytest.mark.parametrize("case", ["itself", "a whole run", "other files", "no run"])
-def test_shipping_loses_nothing(run, ship, tmp_path, case, capsys):
-    folder = tmp_path / "folder"
-    shutil.rmtree(run / "experience")
-    shutil.copytree(run, folder)
-    if case == "other files":
-        (folder / "notes.txt").write_text("mine")
-    before = contents(tmp_path)
-    source = tmp_path / "nowhere" if case == "no run" else run
-    assert ship(source, run if case == "itself" else folder) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert contents(tmp_path) == before
