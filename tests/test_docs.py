@@ -194,6 +194,14 @@ def test_examples_run(tmp_path):
     assert ran.returncode == 0, ran.stderr
 
 
+def test_excerpts_of_ppo_are_its_lines():
+    source = (ROOT / "algos/ppo.py").read_text(encoding="utf-8")
+    lines = {line.partition("  #")[0].strip() for line in source.splitlines()}
+    for _, text in blocks(ROOT / "docs/develop/ppo.md", "python"):
+        missing = [line for line in text.splitlines() if line.strip() not in lines]
+        assert not missing, f"docs/develop/ppo.md: not in algos/ppo.py: {missing}"
+
+
 def test_layout_example_is_a_layout(tmp_path):
     from tactilerl.envs import layouts
 

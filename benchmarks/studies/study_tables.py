@@ -42,6 +42,11 @@ SETUPS = {
     "pybullet": "MPL hand, PyBullet, PPO",
 }
 """The paper's set-ups, as the tables call them."""
+PAPER = {
+    "pybullet": "0.65 0.60  0.66 0.61  0.58 0.62  0.59 0.63  0.58 0.58  0.64 0.56",
+    "mujoco": "0.82 0.85  0.88 0.81  0.87 0.83  0.80 0.81  0.70 0.84  0.73 0.80",
+}
+"""Means of the paper's Tables 1 and 2 by layout: converged rate with touch, and without."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
 DESIGN_STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
 Place = tuple[str, str, str, str]
@@ -215,6 +220,21 @@ def over_layouts(name: str) -> None:
         for row, pair, p in zip(rows, pairs, holm(pairs), strict=True)
     ]
     markdown(head, rows)
+
+
+def converged(setup_name: str) -> None:
+    """Print the paper's means of the converged rates beside ours."""
+    setup, runs = load_setup("paper", setup_name)
+    rates = iter(PAPER[setup_name].split())
+    rows = []
+    for setting in setup.settings:
+        theirs = next(rates), next(rates)
+        ours = (
+            np.mean([*one.values()])
+            for one in study_pairs.both_groups(runs, setup, setting, "converged")
+        )
+        rows.append((label(setting), *theirs, *(f"{rate:.2f}" for rate in ours)))
+    markdown("| layout | paper: touch | no touch | ours: touch | no touch |", rows)
 
 
 def in_common(by_group: Sequence[BySeed]) -> tuple[list[int], Array]:
@@ -408,6 +428,8 @@ TABLES = tables(
     ("study senses", senses),
     ("study trained with faults", trained_with),
     ("paper", over_layouts, "paper"),
+    ("paper table 1", converged, "pybullet"),
+    ("paper table 2", converged, "mujoco"),
     ("paper ddpg_her", layouts, "paper", "mujoco"),
     ("paper ppo", layouts, "paper", "pybullet"),
     ("learned ppo", learned, {"PPO, 50,000 steps": ("learners", "ppo", "layout 4", "")}),
