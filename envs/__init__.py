@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import traceback
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +21,7 @@ from gymnasium.envs.registration import WrapperSpec
 from . import hands, plugins, scenes, validation
 from .validation import nearest, require_known
 
+ROBOTICS = "gymnasium_robotics"
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
@@ -94,6 +97,10 @@ def make(
 def _meant(name: str, known: tuple[str, ...]) -> str:
     if name in scenes.names():
         return f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
+    if name not in gym.registry and find_spec(ROBOTICS):
+        import_module(ROBOTICS)  # which registers its environments
+        if name in gym.registry:
+            return f"did you mean {ROBOTICS}:{name}? "
     return nearest(name, known)
 
 

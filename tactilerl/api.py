@@ -13,6 +13,7 @@ print(tactilerl.evaluate(policy, env, episodes=20))
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
@@ -87,7 +88,7 @@ class Learner:
         self._run = validation.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
             validation.validate(part)
-        self._comm, self._epoch = Communicator(), 0
+        self._comm, self._epoch, self._process = Communicator(), 0, os.getpid()
         start = partial(_start, env, workers, threads)
         with _threads(threads):  # a thread that is started inside inherits their number
             started = training.start_learner(self._run, self.config, start, self._comm)
@@ -120,6 +121,11 @@ class Learner:
             total_timesteps = int(total_timesteps)
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.validate(run)
+        if os.getpid() != self._process:  # where its threads are not
+            raise ValueError(
+                "learn: found a process that was forked from the one that made this learner, "
+                "allowed the same one; make a learner here"
+            )
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         with _threads(self._run.threads):
@@ -176,15 +182,17 @@ class DDPGHER(Learner):
 
 
 def evaluate(
-    policy: Policy | Learner,
+    policy: Any,
     env: Env,
     *,
     episodes: int = 100,
     stochastic: bool = False,
     workers: int | None = None,
 ) -> dict[str, Any]:
-    """Play episodes with a policy, or with that of a learner, from the same starts every time.
+    """Play episodes with a policy, from the same starts every time.
 
+    `policy` is what `load_policy` returns, a learner, a function of an observation that returns an
+    action, or an object with `predict`, such as a model of Stable-Baselines3.
     Returns `success_rate` (where the environment reports ``is_success``) and `mean_return`, their
     95 % intervals `success_rate_ci` (Wilson) and `mean_return_ci` (bootstrap), `mean_length` in
     steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
@@ -192,18 +200,14 @@ def evaluate(
     """
     validation.require_type(episodes, evaluation.EpisodeCount, "episodes")
     validation.require_type(workers, WorkerCount, "workers")
-    if isinstance(policy, Learner):
-        policy = policy.policy()
-    if not isinstance(policy, Policy):
-        found = type(policy).__name__
-        raise ValueError(
-            f"policy: found {found}, allowed what load_policy reads, or a learner"
-        )
+    player = policy.policy() if isinstance(policy, Learner) else policy
     with _threads(1), closing(_start(env, workers)) as played_in:
-        policy.require_spaces(
-            Spaces(played_in.observation_space, played_in.action_space)
-        )
-        played = played_in.play(evaluation.task(policy, stochastic), range(episodes))
+        spaces = Spaces(played_in.observation_space, played_in.action_space)
+        if isinstance(player, Policy):
+            player.require_spaces(spaces)
+        else:
+            player = evaluation.OthersPolicy(player, spaces, stochastic)
+        played = played_in.play(evaluation.task(player, stochastic), range(episodes))
         return evaluation.summarise([evaluation.row(episode) for episode in played])
 
 

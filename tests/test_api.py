@@ -3,6 +3,7 @@ each mistake."""
 
 import json
 import math
+import os
 import pickle
 import runpy
 import sys
@@ -188,6 +189,28 @@ class TestLearner:
         assert np.array_equal(policy.act(obs), before)
         assert not np.array_equal(agent.act(obs), before)
 
+    def test_anybodys_policy_is_played(self):
+        class Still:
+            def predict(self, obs, state=None, deterministic=False):
+                assert deterministic
+                return np.zeros(2), state
+
+        steered = tactilerl.evaluate(lambda obs: -0.1 * obs[:1], "lqr", episodes=3)
+        left_alone = tactilerl.evaluate(lambda obs: [0.0], "lqr", episodes=3)
+        assert steered["mean_return"] > left_alone["mean_return"]
+        assert tactilerl.evaluate(Still(), "point-reach", episodes=2)["success_rate"] == 0
+
+    def test_a_forked_child_says_that_it_cannot_go_on(self):
+        agent = short()
+        if (child := os.fork()) == 0:
+            try:
+                agent.learn(20)
+            except ValueError as error:
+                os._exit("make a learner here" not in str(error))
+            finally:
+                os._exit(1)
+        assert os.waitpid(child, 0)[1] == 0
+
     @pytest.mark.parametrize("said", [True, False])
     def test_success_is_read_by_its_other_name(self, said):
         result = tactilerl.evaluate(short(), Short(info={"success": said}), episodes=2)
@@ -250,6 +273,7 @@ MISTAKES = [
     (lambda: tactilerl.train("lqr", recipe="x"), "recipe: found 'x', allowed for ppo: paper, steady"),
     (lambda: tactilerl.train("lqr", gamma=2), "gamma: found 2.0, allowed from 0 to 1"),
     (lambda: tactilerl.train(Short()), r"env: found an environment, .*; PPO\(env\)"),
+    (lambda: tactilerl.make("FetchReach-v4"), "did you mean gymnasium_robotics:FetchReach-v4"),
     (lambda: tactilerl.make("zork:Env-v0"), "No module named 'zork'"),
     (
         lambda: tactilerl.PPO(lambda: gym.make("Pendulum-v1"), workers=2),
@@ -276,6 +300,7 @@ MISTAKES = [
         r"env: found observations of shape .*, the policy has \(2,\)",
     ),
     (lambda: tactilerl.evaluate("policy.pt", "lqr"), "policy: found str, allowed what load_policy"),
+    (lambda: tactilerl.evaluate(lambda obs: [1, 2], "lqr"), r"found an action of shape \(2,\)"),
     (lambda: tactilerl.PPO("nowhere:Env-v0"), "No module named 'nowhere'"),
     (lambda: tactilerl.PPO("handover"), "did you mean scene='handover' .* tactilerl/Handover-v0"),
     (lambda: short(action=gym.spaces.Box(-3e38, 3e38, (1,))), "Box of floats with finite bounds"),

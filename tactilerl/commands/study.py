@@ -47,38 +47,40 @@ class Run:
 
     def __call__(self) -> int:
         """Run `tactilerl study run FILE`."""
+        study = grid.read(self.study)
+        files = StudyFiles(self.out or Path("studies") / study.name)
+        by_name = {run.name: files.record(run) for run in study.runs()}
+        jobs.check(by_name.values())
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
-            study = grid.read(self.study)
-            files = StudyFiles(self.out or Path("studies") / study.name)
-            found = {run.name: files.record(run) for run in study.runs()}
-            jobs.check(found.values())
             files.create(study)
-            for name, record in found.items():
+            for name, record in by_name.items():
                 if record.state == "failed" and self.retry_failed:
                     files.beside(record.run, "json").unlink(missing_ok=True)
-                    found[name] = files.record(record.run)
+                    by_name[name] = files.record(record.run)
             todo = [
-                Job(files.path.absolute(), one.run, self.ranks_per_run, Path.cwd())
-                for one in found.values()
-                if not one.has_ended
+                Job(files.path.absolute(), record.run, self.ranks_per_run, Path.cwd())
+                for record in by_name.values()
+                if not record.has_ended
             ]
-            counted = f"{len(found)} runs, {len(todo)} to do"
-            console.print(f"study {study.name}: {counted}, in {files.path}")
-            endings, begin = [], time.monotonic()
+            n_runs, begin = len(by_name), time.monotonic()
+            console.print(
+                f"study {study.name}: {n_runs} runs, {len(todo)} to do, in {files.path}"
+            )
+            endings: list[jobs.Ending] = []
 
             def show(job: Job, ending: jobs.Ending) -> None:
                 endings.append(ending)
-                record = found[job.run.name] = files.record(job.run)
-                n_ended, n_left = len(endings), len(todo) - len(endings)
-                left = duration((time.monotonic() - begin) / n_ended * n_left)
+                record = by_name[job.run.name] = files.record(job.run)
+                n_left = len(todo) - len(endings)
+                left = (time.monotonic() - begin) / len(endings) * n_left
                 console.print(
-                    f"[{len(found) - n_left}/{len(found)}] {job.run.name} {record.state} "
-                    f"{duration(record.seconds)}  ETA {left}"
+                    f"[{n_runs - n_left}/{n_runs}] {job.run.name} {record.state} "
+                    f"{duration(record.seconds)}  ETA {duration(left)}"
                 )
 
             jobs.run_all(todo, pool, show)
-        n_failed = _print_failures(found.values())
+        n_failed = _print_failures(by_name.values())
         if n_busy := endings.count("busy"):
             console.print(f"{n_busy} runs are trained by another `study run`")
         console.print(f"  tactilerl study report {pasted(files.path)}")

@@ -69,6 +69,10 @@ ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
 # Fields of 0.4.0 that are no more, with the values that mean what this version does.
 GONE = {"critic_sees": "observation"}
+LENGTH_COUNTS = (
+    " and anneals (--anneal-lr and the like) to zero over that length, so it cannot be extended: "
+    "begin a run of the whole length, or one without annealing"
+)
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
@@ -191,8 +195,9 @@ class RunConfig:
                 continue
             theirs = _completed(type(getattr(self, part)), theirs)
             for key, value in mine.items():
-                if (found := theirs[key]) != value:
-                    return f"{key}: found {found!r}, the run was made with {value!r}"
+                if theirs[key] != value:
+                    why = LENGTH_COUNTS if key == "total_timesteps" else ""
+                    return f"{key}: found {theirs[key]!r}, the run was made with {value!r}{why}"
         return None
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
 
 from .. import statistics
-from ..algos.policy import Policy
+from ..algos.policy import Spaces
 from ..algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
 
 EpisodeCount = Annotated[int, "[1, 100000]"]
@@ -15,7 +17,56 @@ N_RESAMPLES = 9_999
 SEED = 10_000_000  # evaluation starts are not those of training
 
 
-def task(policy: Policy, stochastic: bool = False) -> PlayEpisode[Any]:
+class OthersPolicy:
+    """Play what is no policy of this library: a function of an observation, or an object with
+    `predict`, as those of Stable-Baselines3. Actions are as the environment takes them."""
+
+    def __init__(self, policy: Any, spaces: Spaces, stochastic: bool) -> None:
+        """Ask `predict` for actions without noise, unless `stochastic`, where it can be asked.
+
+        Raises ValueError where `policy` is neither.
+        """
+        self.choose_for: Callable[[Any], Any] = getattr(policy, "predict", policy)
+        if not callable(self.choose_for):
+            raise ValueError(
+                f"policy: found {type(policy).__name__}, allowed what load_policy reads, a learner, "
+                "a function of an observation, or an object with predict"
+            )
+        self.options = {}
+        if self.choose_for is not policy:
+            known = inspect.signature(self.choose_for).parameters
+            self.options = (
+                {"deterministic": not stochastic} if "deterministic" in known else {}
+            )
+        self.keys = [*getattr(spaces.observation, "spaces", ())]
+        self.action = spaces.action
+
+    def explore(self, rng: np.random.Generator) -> None:
+        """Bring no noise: its own is not known here."""
+
+    def read(self, obs: Any) -> Any:
+        """Return a copy of an observation: an array, or of a Dict its parts in order."""
+        parts = [np.array(obs[key]) for key in self.keys]
+        return tuple(parts) if self.keys else np.array(obs)
+
+    def choose(self, view: Any, noise: None = None) -> Any:
+        """Return the action for an observation that `read` returned."""
+        obs = dict(zip(self.keys, view, strict=True)) if self.keys else view
+        action = self.choose_for(obs, **self.options)
+        return action[0] if isinstance(action, tuple) else action
+
+    def to_env(self, action: Any) -> np.ndarray:
+        """Return an action as an array; ValueError where it has another shape than the space."""
+        action = np.asarray(action, self.action.dtype)
+        if action.shape != self.action.shape:
+            found = f"found an action of shape {action.shape}"
+            raise ValueError(
+                f"policy: {found}, the environment's are {self.action.shape}"
+            )
+        return action
+
+
+def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:
     """Return what plays episode 0, 1, 2, ... of an evaluation: the same starts for every policy."""
     return PlayEpisode(policy, (SEED, 0, EVALUATE, 0), explores=stochastic)
 

@@ -201,9 +201,15 @@ class RunDir:
             file.flush()
             os.fsync(file.fileno())
 
-    def n_rows(self) -> int:
-        """Return how many whole rows the table has."""
-        return len(self._read_table()[1]) if self.table.exists() else 0
+    def rows(self) -> list[Row]:
+        """Return the rows of the table, if there is one; InputError where it is damaged."""
+        if not self.table.exists():
+            return []
+        with damage_named(self.table):
+            rows, problem = parse(file_content(self.table).decode("utf-8"))
+            if problem:
+                raise ValueError(problem)
+        return rows
 
     def cut(self, epoch: int) -> None:
         """Drop the row that was written after the checkpoint of `epoch`, if there is one.
@@ -215,7 +221,7 @@ class RunDir:
             return
         if self.table.is_symlink():  # which would have us write somewhere else
             raise InputError(f"{self.table}: found a link, allowed a file")
-        lines, epochs = self._read_table()
+        epochs = [int(row["epoch"]) for row in self.rows()]
         last = epochs[-1] if epochs else 0
         if epochs != [*range(last - len(epochs) + 1, last + 1)]:
             raise InputError(f"{self.table}: damaged (its epochs do not follow)")
@@ -224,22 +230,15 @@ class RunDir:
                 f"{self.table}: found epochs up to {last}, the checkpoint's is {epoch}; put back "
                 "the table that belongs to it, or move this one away to continue with a new one"
             )
-        kept = lines[: len(lines) - (last - epoch)]
-        if len(kept) < 2:  # so that a header that was cut off does not stay
+        n_rows = len(epochs) - (last - epoch)
+        if n_rows < 1:  # so that a header that was cut off does not stay
             self.table.unlink()
-        elif (content := "".join(kept).encode()) != self.table.read_bytes():
+            return
+        content = self.table.read_bytes()
+        whole = b"".join(content.splitlines(keepends=True)[: n_rows + 1])
+        if whole != content:
             with replacing(self.table) as file:
-                file.write(content)
-
-    def _read_table(self) -> tuple[list[str], list[int]]:
-        """Return the lines of the header and of whole rows, and the rows' epochs."""
-        with damage_named(self.table):
-            text = file_content(self.table).decode("utf-8")
-            rows, problem = parse(text)
-            if problem:
-                raise ValueError(problem)
-        lines = [f"{line}\n" for line in text.split("\n")[: len(rows) + 1]]
-        return lines, [int(row["epoch"]) for row in rows]
+                file.write(whole)
 
     # -- checkpoint.pt -----------------------------------------------------------------------
 
@@ -302,9 +301,12 @@ def _checked(row: Row, before: tuple[int, int]) -> tuple[int, int]:
     if now[0] <= before[0] or now[1] < before[1]:
         raise ValueError(f"epoch and steps do not follow: found {now} after {before}")
     for column, field in row.items():
-        value = float(field or 0)
-        if column.endswith(SHARE) and not (0 <= value <= 1 or math.isnan(value)):
-            raise ValueError(f"{column}: found {value:g}, allowed from 0 to 1")
+        value, is_share = float(field or 0), column.endswith(SHARE)
+        if math.isinf(value) or (
+            is_share and not (0 <= value <= 1 or math.isnan(value))
+        ):
+            allowed = "from 0 to 1" if is_share else "a finite number"
+            raise ValueError(f"{column}: found {field[:50]}, allowed {allowed}")
     return now
 
 

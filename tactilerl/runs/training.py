@@ -145,6 +145,8 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                     checkpoint.save(row["epoch"])
 
                 append = [run_dir.append] if comm.rank == 0 else []
+                for row in run_dir.rows() if append else ():
+                    report.write_events(row)
                 learn(learner, epoch, *append, save, report.epoch)
     except algos.UnfitError as error:
         raise InputError(str(error)) from error
@@ -178,7 +180,7 @@ def _begun(checkpoint: Checkpoint) -> int:
     """
     run_dir, learner = checkpoint.run_dir, checkpoint.learner
     if not run_dir.checkpoint_file.exists():
-        if run_dir.n_rows() or any(run_dir.experience_folder.glob("*.pt")):
+        if run_dir.rows() or any(run_dir.experience_folder.glob("*.pt")):
             raise InputError(
                 f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
                 "begin another run with another --out"

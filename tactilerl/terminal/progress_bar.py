@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,12 @@ SAID = {  # of a run that has had such faults
 
 
 class ProgressBar:
-    """Shows each epoch; writes TensorBoard events to a folder when given one."""
+    """Show each epoch; write TensorBoard events to a folder when given one."""
 
     def __init__(
         self, learner: Learner, comm: Communicator, events: Path | None = None
     ) -> None:
+        """Begin where `learner` is; `events` is the folder. Ranks but the first show nothing."""
         self.console = Console(
             quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False
         )
@@ -35,7 +37,8 @@ class ProgressBar:
         self._faults = dict.fromkeys(FAULTS, 0.0)
         self._events: Any = None
         if events is not None and comm.rank == 0:
-            self._events = require_tensorboard()(str(events))
+            # Events of another process are hidden: its last ones may be missing.
+            self._events = require_tensorboard()(str(events), purge_step=0)
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
         self._is_bar = self.console.is_terminal and comm.size == 1
         self._bar = progress.Progress(
@@ -43,8 +46,6 @@ class ProgressBar:
             progress.MofNCompleteColumn(),
             progress.TextColumn("steps  {task.description}"),
             progress.TimeElapsedColumn(),
-            progress.TextColumn("ETA"),
-            progress.TimeRemainingColumn(elapsed_when_finished=False),
             console=self.console,
             disable=not self._is_bar,
         )
@@ -75,35 +76,42 @@ class ProgressBar:
         steps, text = row["env_steps"], f"success {_rate(row['success_rate'])}  "
         if "test_success_rate" in row:
             text += f"test {_rate(row['test_success_rate'])}  "
-        text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s"
+        spent = time.perf_counter() - self._started
+        left = spent * max(0, self.total - steps) / (steps - self._first_step)
+        text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s  "
+        text += f"ETA {duration(left)}"
         self._bar.update(self._task, completed=min(steps, self.total), description=text)
         if not self._is_bar:
-            spent = time.perf_counter() - self._started
-            left = spent * max(0, self.total - steps) / (steps - self._first_step)
-            self.console.print(
-                f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}  {text}  "
-                f"ETA {duration(left)}"
-            )
-        if self._events is not None:
-            for key, value in row.items():
-                if key not in ("epoch", "env_steps") and not math.isnan(value):
-                    self._events.add_scalar(f"train/{key}", value, steps)
+            done = f"{steps:,}/{self.total:,}"
+            self.console.print(f"epoch {row['epoch']:4d}  steps {done}  {text}")
+        self.write_events(row)
+
+    def write_events(self, row: Mapping[str, float | str]) -> None:
+        """Write a row of the progress table for TensorBoard, where that is asked for."""
+        if self._events is None:
+            return
+        for column, value in row.items():
+            number = math.nan if value == "" else float(value)
+            if column not in ("epoch", "env_steps") and not math.isnan(number):
+                steps = int(row["env_steps"])
+                self._events.add_scalar(f"train/{column}", number, steps)
+        self._events.flush()
 
 
 def _rate(value: float) -> str:
     return "  –  " if math.isnan(value) else f"{100 * value:4.0f}%"
 
 
-def duration(seconds: float | None) -> str:
-    """Hours, minutes and seconds; a dash for None."""
-    if seconds is None:
-        return "–"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+def duration(seconds: float) -> str:
+    """Return days, where there are any, hours, minutes and seconds: "2 d 1:00:59"."""
+    days, rest = divmod(round(seconds), 86_400)
+    minutes, rest = divmod(rest, 60)
+    clock = f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+    return f"{days} d {clock}" if days else clock
 
 
 def require_tensorboard() -> Any:
-    """The class that writes events; InputError naming the extra when it is not installed."""
+    """Return the class that writes events; InputError naming the extra when it is not installed."""
     with extra("tensorboard"):
         from torch.utils.tensorboard import SummaryWriter
     return SummaryWriter
