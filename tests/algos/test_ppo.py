@@ -92,13 +92,6 @@ class TestDensityAndLoss:
         assert got.loss.tolist() == pytest.approx([-1.2, 1.5, -0.5, 0.8], rel=1e-6)
         assert got.is_clipped.tolist() == [True] * 4
 
-    def test_gradient_is_zero_where_the_clip_binds(self):
-        log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5, 0.1], requires_grad=True)
-        advantages = torch.tensor([1.0, -1.0, -1.0, 1.0, 2.0])
-        surrogate(log_ratio, advantages, 0.2).loss.sum().backward()
-        slopes = -advantages * log_ratio.detach().exp()
-        torch.testing.assert_close(log_ratio.grad, torch.tensor([0.0, 0.0, *slopes[2:]]))
-
     @pytest.mark.parametrize("gap", [1e3, -1e3])
     @pytest.mark.parametrize("advantage", [1.0, -1.0])
     def test_overflowing_ratio_stays_finite(self, gap, advantage):

@@ -255,21 +255,6 @@ class TestFaults:
         assert info["warnings"] >= 1
         assert (data.time < 0.15) == resets_itself  # of 0.2 s
 
-    def test_warnings_are_told_once_and_outlive_resets(self, little_memory):
-        env = make(task="reach-goal")
-        env.reset(seed=0)
-        up = np.eye(23)[2]
-        assert env.step(up)[-1]["warnings"] == 0
-        told = [env.step(-up)[-1].get("warnings", 0) for _ in range(8)]
-        assert sum(told) == env.simulator.warnings > 0
-        env.reset(seed=0)
-        env.simulator.step(env.hand.action_map(-up, env.state.targets), 400)  # the next step tells
-        fresh = env.simulator.warnings - sum(told)
-        assert fresh > 0
-        env.reset(seed=0)
-        assert env.step(up)[-1]["warnings"] == fresh
-        assert env.step(up)[-1]["warnings"] == 0
-
     @pytest.mark.parametrize("rule", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
         self, rule, little_memory

@@ -168,15 +168,6 @@ class TestActions:
             back = env.hand.action_map(-np.ones(1), back)
         np.testing.assert_allclose(back, start, atol=1e-12)  # it opens as far as it was at first
 
-    def test_fingers_close_one_by_one(self):
-        env = make(actions="fingers")
-        n = env.action_space.shape[0]
-        assert n == len(env.hand.groups) > 1
-        start = env.hand.start_targets()
-        moved = [env.hand.action_map(np.eye(n)[i], start) != start for i in range(n)]
-        assert (np.sum(moved, axis=0) <= 1).all()
-        assert all(m.any() for m in moved)
-
     def test_what_was_asked_for_is_observed(self):
         env = make()
         (at,) = env.observation_entries("targets")

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from tactilerl import files, machine
+from tactilerl import files
 from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
 from tactilerl.errors import BUSY, InputError
@@ -352,25 +352,6 @@ class TestProvenance:
         assert second["versions"]["torch"] == torch.__version__
         assert "versions torch" not in printed(capsys, [*RESUME, "--total-timesteps", "300"])
         assert json.loads(CONFIG.read_text())["provenance"] == [first, second]
-
-    def test_the_commit_is_of_the_repository_that_tracks_the_package(self, tmp_path, monkeypatch):
-        def git(*args):
-            command = ["git", "-c", "user.name=x", "-c", "user.email=x@x", "-C", str(tmp_path), *args]
-            result = subprocess.run(command, check=True, capture_output=True, text=True)
-            return result.stdout.strip()
-
-        package = tmp_path / "venv/lib/tactilerl"
-        package.mkdir(parents=True)
-        (package / "__init__.py").touch()
-        git("init")
-        git("commit", "--allow-empty", "-m", "theirs")
-        monkeypatch.setenv("GIT_DIR", str(tmp_path / ".git"))
-        assert machine.commit(package) is None
-        git("add", "venv")
-        git("commit", "-m", "ours")
-        assert machine.commit(package) == git("rev-parse", "HEAD")
-        (package / "__init__.py").write_text("1 + 1")
-        assert machine.commit(package) == git("rev-parse", "HEAD") + "-dirty"
 
 
 class TestTerminal:

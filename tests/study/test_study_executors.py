@@ -4,9 +4,6 @@ import os
 import re
 import shutil
 import signal
-import socket
-import subprocess
-import sys
 import threading
 import time
 from importlib.util import find_spec
@@ -38,12 +35,6 @@ def begun(folder, n=1):
         time.sleep(0.02)
 
 
-def start(*command):
-    return subprocess.Popen(
-        [sys.executable, "-m", *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-
-
 def test_a_worker_that_is_killed_costs_no_bit(tmp_path, on_local):
     with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
         out, pids = tmp_path / "out", [worker.pid for worker in cluster.workers.values()]
@@ -61,36 +52,6 @@ def test_a_worker_that_is_killed_costs_no_bit(tmp_path, on_local):
     assert learned(out) == on_local
     logs = [path.read_text() for path in out.glob("runs/*.log")]
     assert sum("resumed" in log for log in logs) == 1
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_is_killed_costs_no_bit(tmp_path, on_local):
-    """It is started again, at the same place and with new workers, while `study run` waits."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address, out = f"tcp://127.0.0.1:{port}", tmp_path / "out"
-
-    def cluster():
-        scheduler = ["distributed.cli.dask_scheduler", "--port", str(port), "--no-dashboard"]
-        worker = ["distributed.cli.dask_worker", address, "--nthreads", "2", "--no-dashboard"]
-        return [start(*scheduler, "--host", "127.0.0.1"), start(*worker)]
-
-    processes = cluster()
-    study = start(
-        "tactilerl", "study", "run", str(write(tmp_path, LONG)), "--out", str(out),
-        "--on", f"dask:{address}",
-    )  # fmt: skip
-    try:
-        begun(out, 2)
-        for process in processes:
-            process.kill()
-        processes = cluster()
-        assert study.wait(PATIENCE) == 0
-    finally:
-        for process in (study, *processes):
-            process.kill()
-    assert learned(out) == on_local
 
 
 def test_no_scheduler_there(tmp_path, capsys):

@@ -1,12 +1,10 @@
 """Reports of studies: right numbers, the same bytes for the same records, seen in a browser."""
 
 import gzip
-import io
 import json
 import re
 import shutil
 import sys
-import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -40,18 +38,6 @@ def written(folder, result):
 
 def contents(path):
     return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
-
-
-def rewrite(path, name, change):
-    """Change one file in a collected study."""
-    with tarfile.open(path) as archive:
-        found = {one.name: archive.extractfile(one).read() for one in archive}
-    found[name] = change(found[name].decode()).encode()
-    with tarfile.open(path, "w:gz") as archive:
-        for each, data in found.items():
-            entry = tarfile.TarInfo(each)
-            entry.size = len(data)
-            archive.addfile(entry, io.BytesIO(data))
 
 
 def reported(capsys, path):
@@ -181,21 +167,6 @@ class TestWarnings:
         old = tmp_path / "old.tar.gz"  # of 0.3.0
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
         fails_with(capsys, ["study", "status", old], "not a collected study of 0.4.0")
-
-    @pytest.mark.parametrize("row", ["1,inf", "1,-1", "1,1000,7", "1,1000,0.5\n1,40000,0.5"])
-    def test_rows_that_no_run_writes(self, tmp_path, row):
-        """In a folder and in a collected file, the run is not done."""
-        folder = make_study(tmp_path / "s", n_seeds=1)
-        run = folder.study().runs()[0]
-        text = f"epoch,env_steps,success_rate\n{row}\n"
-        folder.run_dir(run).table.write_text(text)
-        assert folder.record(run).state == "interrupted"
-        assert folder.record(run).reason
-        assert main(["study", "status", str(folder.path)]) == 0
-        for name in ("s", "whole"):
-            path = records.collect(make_study(tmp_path / name, n_seeds=1).path)
-        rewrite(path, f"runs/{run.name}/progress.csv", lambda _: text)
-        assert StudyFiles(path).record(run).state == "interrupted"
 
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):

@@ -235,15 +235,6 @@ class TestSharing:
         folder.create(study)
         assert folder.study() == study
 
-    @pytest.mark.slow
-    def test_two_at_once_train_each_run_once(self, undisturbed, tmp_path):
-        command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "1"]
-        both = [subprocess.Popen(command) for _ in range(2)]
-        assert [one.wait(600) for one in both] == [0, 0]
-        assert learned(tmp_path / "out") == learned(undisturbed)
-        logs = [path.read_text() for path in (tmp_path / "out").rglob("*.log")]
-        assert [log.count("epoch    1") for log in logs] == [1] * 2
-
 
 def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
     over = threading.Event()
