@@ -38,6 +38,8 @@ BEYOND: dict[str, dict[str, Any]] = {
         "robust": replace(
             STEADY_PPO,
             steps_per_epoch=500,
+            action_variance=0.2,
+            normalise_rewards=True,
             taxel_scale="block",
             undo_silent=True,
             anneal_lr=True,
