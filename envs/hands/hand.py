@@ -443,7 +443,9 @@ class Hand:
         )
 
 
-def short_digest(*files: Path) -> str:
-    """Return a digest of what is in some files."""
-    content = b"".join(path.read_bytes() for path in files)
+def short_digest(*parts: Path | bytes) -> str:
+    """Return a digest of bytes and of what is in files."""
+    content = b"".join(
+        part if isinstance(part, bytes) else part.read_bytes() for part in parts
+    )
     return hashlib.sha256(content).hexdigest()[:16]

@@ -73,6 +73,7 @@ LENGTH_COUNTS = (
     " and anneals (--anneal-lr and the like) to zero over that length, so it cannot be extended: "
     "begin a run of the whole length, or one without annealing"
 )
+HAND_COPY = "hand.toml"  # in the run folder, when the hand is none of the library's
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
@@ -84,7 +85,7 @@ class RunConfig:
     scene: GraspConfig | None
     learner: Any
     folder: Path | None = None
-    """The run's folder, once it exists: its copy of a layout file counts, not the original."""
+    """The run's folder, once it exists: its copies of a layout's and a hand's file count."""
     hand: str = ""
     """Digest of the files of a hand of one's own (`hands.digest`) with which the run was made."""
 
@@ -130,24 +131,25 @@ class RunConfig:
                 f"env: found {self.run.env!r}, of the module {module}; if you trust it, give "
                 f"--import {module}"
             )
+        env = self.run.env
         if self.hand:
+            if self.folder and (self.folder / HAND_COPY).is_file():  # not in 0.4.0
+                env = str(self.folder / HAND_COPY)
             with input_errors(f"{self.folder}: the hand of this run cannot be read"):
-                digest = hands.digest(self.run.env)
+                digest = hands.digest(env)
             if digest != self.hand:
                 raise InputError(
-                    f"{self.folder}: the files of this run's hand ({self.run.env}) have "
+                    f"{self.folder}: the files of this run's hand ({env}) have "
                     "changed since it was made; put the old ones back"
                 )
         if self.scene is None:
-            return partial(envs.make, self.run.env)
+            return partial(envs.make, env)
         choices: dict[str, Any] = {}
         if self.scene.hand_seed is None:
             choices["hand_seed"] = self.run.seed
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
-        return partial(
-            GraspEnv, self.run.env, dataclasses.replace(self.scene, **choices)
-        )
+        return partial(GraspEnv, env, dataclasses.replace(self.scene, **choices))
 
     @property
     def layout_file(self) -> Path | None:

@@ -17,6 +17,7 @@ import io
 import json
 import math
 import os
+import re
 import zipfile
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,7 +28,7 @@ from .. import machine
 from ..algos import recipes
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
-from ..envs import hands, layouts, plugins
+from ..envs import hands, layouts, plugins, validation
 from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import content as file_content
@@ -40,7 +41,15 @@ from ..files import (
     replacing,
     writable,
 )
-from .config import ENV_ID, LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
+from .config import (
+    ENV_ID,
+    HAND_COPY,
+    LAYOUT_COPY,
+    PARTS,
+    RunConfig,
+    defaults,
+    from_dict,
+)
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 OLDEST = (0, 4)  # version whose runs are read
@@ -147,10 +156,17 @@ class RunDir:
             origins.append(now)
         content = {"format": FORMAT, **config.as_dict(), "ranks": ranks}
         content["provenance"] = origins
-        if hand := config.hand or hands.digest(config.run.env):
-            content["hand"] = hand
+        hand, digest = b"", config.hand
+        if not digest and (digest := hands.digest(config.run.env)):  # it begins
+            hand = _hand_file(hands.file(config.run.env))
+            digest = hands.digest(config.run.env, hand)
+        if digest:
+            content["hand"] = digest
         with replacing(self.config_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
+        if hand:
+            with replacing(self.path / HAND_COPY) as file:
+                file.write(hand)
         if config.layout_file and not (self.path / LAYOUT_COPY).exists():
             with replacing(self.path / LAYOUT_COPY) as file:
                 file.write(layouts.load(str(config.layout_file)).toml().encode())
@@ -258,6 +274,18 @@ class RunDir:
                     f"{path}: from another configuration than config.json ({difference})"
                 )
         return data
+
+
+def _hand_file(path: Path) -> bytes:
+    """Return a hand's file with the absolute path of its model, which may be large and stays where it
+    is; a model of an installed package keeps its name."""
+    text = validation.read_text(path, "hand file")
+    model = str(validation.read(path, "hand file")["model"])
+    if ":" in model:
+        return text.encode()
+    line = json.dumps(str((path.parent / model).absolute()), ensure_ascii=False)
+    text = re.sub(r"(?m)^\s*model\s*=.*$", lambda _: f"model = {line}", text, count=1)
+    return text.encode()
 
 
 def as_record(data: Any) -> Values:

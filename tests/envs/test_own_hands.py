@@ -224,7 +224,7 @@ class TestTaxelFiles:
 
 
 class TestCommands:
-    def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys):
+    def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys, monkeypatch):
         path, run = own(), str(tmp_path / "run")
         points = tmp_path / "points.csv"
         assert main(["env", "--env", path, "--layout", "5", "--export", str(points)]) == 0
@@ -234,9 +234,14 @@ class TestCommands:
         points.unlink()  # the run has its own copy
         assert main(["evaluate", run, "--episodes", "1"]) == 0
         assert main(["train", "--resume", run, "--total-timesteps", "60"]) == 0
-        own("-0.7 1.2", "-0.7 1.1", "gripper.xml")
+        elsewhere = tmp_path / "elsewhere"
+        elsewhere.mkdir()
+        monkeypatch.chdir(elsewhere)
+        Path(path).unlink()  # of its hand too
         evaluate = ["evaluate", run, "--episodes", "1"]
+        assert main(evaluate) == 0
+        own("-0.7 1.2", "-0.7 1.1", "gripper.xml")
         fails_with(capsys, evaluate, "have changed since it was made")
-        Path(path).unlink()
-        fails_with(capsys, evaluate, "hand of this run cannot be read: hand file")
+        (tmp_path / "gripper.xml").unlink()
+        fails_with(capsys, evaluate, "hand of this run cannot be read")
         assert RunDir(Path(run)).read_config().run.env == path  # it can still be read
