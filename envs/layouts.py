@@ -29,6 +29,7 @@ MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
 Millimetres = Annotated[float, "[-50, 50]"]
 Count = Annotated[int, "[1, 100]"]
+MOST_TAXELS = 20_000  # of a layout on a hand
 LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
 
@@ -191,6 +192,15 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
+        n_taxels = len(self.taxels) + sum(
+            len(patch.offsets)
+            for surface in hand.surfaces
+            for patch in self.patches
+            if patch.is_on(surface.digit, surface.segment)
+        )
+        if n_taxels > MOST_TAXELS:
+            found = f"layout {self.name!r}: found {n_taxels:,} taxels"
+            raise ValueError(f"{found}, allowed up to {MOST_TAXELS:,}")
         placed = []
         for index, surface, offset, radius, name, threshold in self.on_grids(hand):
             if not surface.is_gap(*offset):

@@ -31,7 +31,7 @@ ALLOWED = {
     "mpi4py": ("algos/mpi.py",),
     "dask": ("tactilerl/study/executors.py",),
     "dask_jobqueue": ("tactilerl/study/executors.py",),
-    "matplotlib": ("benchmarks/", "tactilerl/placement/figures.py", "tactilerl/study/figures.py"),
+    "matplotlib": ("benchmarks/", "tactilerl/study/figures.py"),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": (
         "tactilerl/terminal/",

@@ -11,7 +11,7 @@ import tyro
 from rich.table import Table
 
 from ..envs import layouts
-from ..errors import input_errors
+from ..errors import InputError, input_errors
 from ..files import pasted
 from ..machine import free_cores
 from ..placement import files
@@ -28,8 +28,8 @@ other starts, without training.
 examples:
   tactilerl design --scene handover_anywhere --taxels 4 --out four.toml
   tactilerl design --scene handover --taxels 1..12 --only palm --out my_design
-  tactilerl design --scene handover_anywhere --start-closing 0.2 0.3 0.4"""
-EXACT = 1e-3  # of a bound: less than a start
+  tactilerl design --scene handover_anywhere --taxels 8 --survives taxel"""
+EXACT = 1e-5  # of a bound: less than a start
 NAMED = {
     "chosen": "chosen",
     "random": "random sets, mean",
@@ -57,84 +57,132 @@ def main(args: list[str]) -> int:
     with input_errors():
         read.validate()
         if read.out is not None:
+            if len(read.taxel_threshold) > 1:
+                found = f"found with {len(read.taxel_threshold)} of --taxel-threshold"
+                raise InputError(f"--out: {found}, allowed with one")
             files.require(read.out, read.numbers, read.overwrite)
         with progress("playing starts", read.n_played, not read.json) as tick:
-            found = design(read, read.workers or free_cores(), tick)
-        written = [] if read.out is None else files.write(found, read.out)
+            result = design(read, read.workers or free_cores(), tick)
+        written = [] if read.out is None else files.write(result, read.out)
     if read.json:
-        print(json.dumps(found.as_dict()))
+        print(json.dumps(result.as_dict()))
         return 0
-    _print(found)
-    layout_files = zip(written, found.chosen, strict=False)  # layouts come first
-    hints = {path: _hint(found, path, n) for path, n in layout_files}
+    _print(result)
+    layout_files = zip(written, result.chosen, strict=False)  # layouts come first
+    hints = {path: _hint(result, path, n) for path, n in layout_files}
     for path in written:
         console.print(f"{path}{hints.get(path, '')}")
     return 0
 
 
-def _hint(found: Design, path: Path, n: int) -> str:
+def _hint(result: Design, path: Path, n: int) -> str:
     """Return what trains the hand with the layout."""
-    asked, waits = found.pool.flags, found.waits_at(n)
-    flags_given = {
-        "--scene": asked.scene[0],
-        "--env": asked.env,
-        "--simulator": asked.simulator,
+    flags_given, waits = result.pool.flags, result.waits_at(n)
+    values = {
+        "--scene": flags_given.scene[0],
+        "--env": flags_given.env,
+        "--simulator": flags_given.simulator,
         "--layout": str(path),
         "--start-closing": "" if waits is None else f"{waits:g}",
     }
-    given = [f"{key} {pasted(value)}" for key, value in flags_given.items() if value]
+    given = [f"{key} {pasted(value)}" for key, value in values.items() if value]
     return f"    tactilerl train {' '.join(given)}"
 
 
-def _print(found: Design) -> None:
-    """Print the table, and how far it can be trusted."""
-    pool = found.pool
-    asked, names = pool.flags, ", ".join(scene.name for scene in pool.scenes)
+def _print(result: Design) -> None:
+    """Print the tables, and how far they can be trusted."""
+    pool = result.pool
+    flags_given, names = pool.flags, ", ".join(scene.name for scene in pool.scenes)
     console.print(f"{names}: taxels for a hand that closes at the first touch")
     console.print(
-        f"{len(pool.columns) - pool.n_kept} candidates; chosen from {asked.starts} starts of each "
-        f"scene, judged on {asked.test_starts} others"
+        f"{len(pool.columns) - pool.n_existing} candidates; chosen from {flags_given.starts} starts of "
+        f"each scene, judged on {flags_given.test_starts} others"
     )
-    if asked.keep:
-        kept = f"layout {layouts.short(asked.keep)}"
-        console.print(f"chosen and random taxels are added to those of {kept}")
+    if flags_given.keep:
+        layout = f"layout {layouts.short(flags_given.keep)}"
+        console.print(f"chosen and random taxels are added to those of {layout}")
     if pool.early:
         early = ", ".join(pool.early)
         console.print(f"left out, since they fire before anything comes: {early}")
-    table = Table("taxels", "which", "success", "95 % interval", "felt")
-    if asked.start_closing:
+    loss = layouts.short(flags_given.survives or "taxel")
+    table = Table(
+        "taxels", "which", "success", "felt", f"after the worst loss ({loss})"
+    )
+    if flags_given.start_closing:
         table.add_column("waits at")
-    if found.best is not None:
-        table.add_column(f"more than layout {layouts.short(found.best)}")
-    for row in found.rows:
-        table.add_row(*_cells(row, bool(asked.start_closing)))
+    if flags_given.taxel_threshold:
+        table.add_column("threshold, N")
+    if result.best is not None:
+        table.add_column(f"more than layout {layouts.short(result.best)}")
+    for row in result.rows:
+        table.add_row(*_cells(row, result))
     console.print(table)
-    if found.hopeless:
-        share = f"in {found.hopeless:.2f} of the starts"
+    if flags_given.taxel_threshold:
+        console.print(_stops(result))
+    if result.hopeless:
+        share = f"in {result.hopeless:.2f} of the starts"
         console.print(f"{share} the hand fails, at whichever touch it closes")
-    for row in found.rows:
+    for row in result.rows:
         if row.chosen_from is not None:
             console.print(_bound(row, row.chosen_from))
+    console.print(_places(result))
 
 
-def _cells(row: Row, waits: bool) -> list[str]:
+def _stops(result: Design) -> str:
+    """Return at which threshold touch stops paying."""
+    useless = {force: use for force, use in result.uses.items() if not use.pays}
+    if not useless:
+        return f"touch pays up to {max(result.pool.flags.taxel_threshold):g} N"
+    force = min(useless, key=lambda force: force or 0.0)
+    return (
+        f"touch stops paying at {force:g} N: with all candidates a hand succeeds in "
+        f"{useless[force].touch:.2f} of the starts, by {useless[force].sense} in "
+        f"{useless[force].blind:.2f}"
+    )
+
+
+def _cells(row: Row, result: Design) -> list[str]:
     """Return a line of the table."""
     name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")
-    cells = [str(row.taxels), name, f"{row.success:.2f}"]
-    interval = row.success_interval
-    cells.append("{:.2f} – {:.2f}".format(*interval) if interval else "")
-    cells.append(f"{row.felt:.2f}")
-    if waits:
+    worst = _rate(row.worst, row.worst_interval)
+    if row.lost is not None:
+        worst += f" without {row.lost}"
+    success = _rate(row.success, row.success_interval)
+    cells = [str(row.taxels), name, success, f"{row.felt:.2f}", worst]
+    if result.pool.flags.start_closing:
         cells.append("" if row.start_closing is None else f"{row.start_closing:g}")
+    if row.threshold is not None:
+        cells.append(f"{row.threshold:g}")
     if row.difference:
         cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row.difference))
     return cells
 
 
+def _rate(rate: float, interval: tuple[float, float] | None) -> str:
+    """Return a rate, with its interval where there is one."""
+    if interval is None:
+        return f"{rate:.2f}"
+    return "{:.2f} ({:.2f} – {:.2f})".format(rate, *interval)
+
+
 def _bound(row: Row, reached: float) -> str:
     """Return how good a set of the same size could be."""
     best = f"{row.taxels} chosen: {reached:.3f} of the starts they were chosen from"
+    if row.chosen_worst is not None:
+        best += f", {row.chosen_worst:.3f} after the worst loss"
+        reached = row.chosen_worst
     if row.bound is not None and row.bound - reached < EXACT:
         return f"{best}; no set of the same size has more"
     bound = "" if row.bound is None else f"; none has more than {row.bound:.3f}"
-    return f"{best}, by greedy search with swaps{bound}"
+    return f"{best}, the best found{bound}"
+
+
+def _places(result: Design) -> Table:
+    """Return a table of where the largest chosen set is, in the frames of the links."""
+    table = Table("taxel", "link", "place, mm", "normal", "radius, mm")
+    columns = result.columns(max(result.chosen))
+    for point in result.pool.skin.taxels.take(columns).points:
+        place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
+        normal = ", ".join(f"{value:.2f}" for value in point.normal)
+        table.add_row(point.name, point.link, place, normal, f"{1e3 * point.radius:g}")
+    return table

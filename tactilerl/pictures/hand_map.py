@@ -15,10 +15,11 @@ from .places import Place
 
 Box = tuple[float, float, float, float]
 # All mm.
-COLUMN, ROW = 38.0, 52.0  # between digits and between segments, or more for large ones
 MARGIN = 6.0  # around all of it
 EDGE = 3.0  # of a panel beyond the places of its outermost taxels
-LETTERS = 10.0  # the height of a label
+GAP = 2 * EDGE + 2.0  # between the outermost places of two panels
+LETTERS = 7.0  # the height of a label
+LETTER_WIDTH = 0.55 * LETTERS  # of a letter on the mean
 ROUND = 0.4  # radius of a panel's corners, of half its width
 PAPER, PHALANX, TAXEL = (255, 255, 255), (224, 224, 224), (70, 90, 160)
 LIT, LETTER = (255, 200, 0), (20, 20, 20)
@@ -37,24 +38,35 @@ class Panel(NamedTuple):
 
 
 def panels(hand: Hand) -> list[Panel]:
-    """Return a panel for each of the hand's surfaces."""
+    """Return a panel for each of the hand's surfaces: digits side by side, their segments from the
+    base up to the tip, and the palm below them."""
     spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
-    across = max(COLUMN, 2 * max(width for *_, width in spans) + 8.0)
-    apart = max(ROW, max(high - low for low, high, _ in spans) + 8.0)
-    columns = hand.digits if set(hand.digits) - set(DIGITS) else DIGITS
-    found, segments = [], dict.fromkeys(hand.digits, 0)
+    is_usual = set(hand.digits) <= set(DIGITS)
+    columns = [d for d in DIGITS if d in hand.digits] if is_usual else hand.digits
+    middles: dict[str, float] = {}
+    right = 0.0
+    for digit in columns:
+        widths = [
+            half_width
+            for surface, (*_, half_width) in zip(hand.surfaces, spans, strict=True)
+            if surface.digit == digit
+        ]
+        half = max(*widths, LETTER_WIDTH * len(digit) / 2 - EDGE)
+        middles[digit] = right + half
+        right += 2 * half + GAP
+    tops = dict.fromkeys(columns, 0.0)
+    drawn = []
     for surface, (low, high, half_width) in zip(hand.surfaces, spans, strict=True):
-        middle = (len(columns) - 1) / 2
-        is_column = surface.digit in columns
-        x = across * (columns.index(surface.digit) if is_column else middle)
-        y = low - high - 27.0
-        if surface.segment != "palm":
-            y = apart * segments[surface.digit]
-            segments[surface.digit] += 1
-            if surface.segment == "distal" and surface.bone is not None:
-                high += half_width  # a fingertip is round
-        found.append(Panel(x, y, half_width, low, high))
-    return found
+        x = middles.get(surface.digit, (right - GAP) / 2)
+        if surface.segment == "palm":
+            drawn.append(Panel(x, -GAP - high, half_width, low, high))
+            continue
+        if surface.segment == "distal" and surface.bone is not None:
+            high += half_width  # a fingertip is round
+        y = tops[surface.digit] - low
+        tops[surface.digit] = y + high + GAP
+        drawn.append(Panel(x, y, half_width, low, high))
+    return drawn
 
 
 def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,16 +40,42 @@ class Row:
     success: float
     felt: float
     """Share of the starts that a taxel feels before the object is let go."""
+    worst: float
+    """Success after the worst loss."""
     success_interval: tuple[float, float] | None = None
     """95 %."""
+    worst_interval: tuple[float, float] | None = None
+    """95 %."""
+    lost: str | None = None
+    """The worst loss; None where no loss costs anything, and for random sets."""
     start_closing: float | None = None
     """How far the hand is closed while it waits; None for as the scene has it."""
     chosen_from: float | None = None
     """Success in the starts from which these taxels were chosen."""
+    chosen_worst: float | None = None
+    """The same after the worst loss, where they were chosen for that."""
     bound: float | None = None
-    """No set of as many succeeds more often in those; None where nobody knows."""
+    """No set of as many has more of what they were chosen for in those; None where nobody knows."""
     difference: tuple[float, float, float] | None = None
     """By how much success is above that of the best layout, and its 95 % interval."""
+    threshold: float | None = None
+    """Force from which a taxel fires, N; None for what the scene or the layout says."""
+
+
+class Use(NamedTuple):
+    """What touch has to win, in the starts to choose from."""
+
+    touch: float
+    """Success of a hand that feels with all candidates."""
+    blind: float
+    """Success of the best scripted hand without touch."""
+    sense: str
+    """What that goes by."""
+
+    @property
+    def pays(self) -> bool:
+        """Whether touch wins enough for a design to tell anything."""
+        return self.touch - self.blind >= gate.TELLS
 
 
 @dataclass(frozen=True)
@@ -57,23 +83,34 @@ class Design:
     """What was chosen, and how good it is."""
 
     pool: Pool
+    choice: ByWait
+    """The starts to choose from."""
+    test: ByWait
+    """Those on which everything is judged."""
     chosen: dict[int, list[int]]
     """By number of taxels, indices in the pool, without those that were there already."""
-    worth: Array
-    """(m,) of each taxel of the pool alone: the share of starts that it wins."""
     hopeless: float
     """Share of the starts in which the hand fails at whichever touch it closes."""
     best: str | None
     """Of the layouts to compare with, the one with the most success."""
     rows: list[Row]
+    """For each threshold after the other."""
+    uses: dict[float | None, Use]
+    """What touch has to win, by threshold. The fields before `rows` are of the first."""
+
+    def columns(self, n: int) -> list[int]:
+        """Return which of the skin's taxels a hand with `n` chosen ones has, those that were there
+        already included."""
+        indices = sorted([*range(self.pool.n_existing), *self.chosen[n]])
+        return [self.pool.columns[index] for index in indices]
 
     def layout(self, n: int) -> Layout:
         """Return a layout of `n` taxels, and those that were there already."""
-        taxels = self.pool.taxels.take(
-            sorted([*self.chosen[n], *range(self.pool.n_kept)])
-        )
+        taxels = self.pool.skin.taxels.take(self.columns(n))
         scenes = ", ".join(scene.name for scene in self.pool.scenes)
-        about = f"{n} taxel{'s' * (n > 1)} {MADE} for {scenes}"
+        about = f"{n} {'taxel' if n == 1 else 'taxels'} {MADE} for {scenes}"
+        if survives := self.pool.flags.survives:
+            about += f", to survive the loss of any {layouts.short(survives)}"
         if (closing := self.waits_at(n)) is not None:
             about += f", waiting {closing:g} closed"
         return layouts.of_taxels(taxels, self.pool.hand, about)
@@ -88,19 +125,23 @@ class Design:
         """Return it as JSON has it."""
         pool = self.pool
         names = validation.names(DesignFlags) - {"workers"}
-        asked = {key: flag for key, flag in asdict(pool.flags).items() if key in names}
+        flags = {key: flag for key, flag in asdict(pool.flags).items() if key in names}
         chosen = {n: places.of(pool.taxels.take(own)) for n, own in self.chosen.items()}
         return {
             "about": f"taxels {MADE}",
             "env": pool.env,
             "simulator": pool.scenes[0].config.simulator,
             "scenes": [scene.name for scene in pool.scenes],
-            "asking": asked,
-            "candidates": len(pool.columns) - pool.n_kept,
+            "asking": flags,
+            "candidates": len(pool.columns) - pool.n_existing,
             "early": pool.early,
             "hopeless": self.hopeless,
             "beside": self.best,
             "rows": [asdict(row) for row in self.rows],
+            "uses": [
+                {"threshold": threshold, **use._asdict()}
+                for threshold, use in self.uses.items()
+            ],
             "places": {
                 n: [asdict(place) for place in own] for n, own in chosen.items()
             },
@@ -114,81 +155,130 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
     where touch cannot help, or for a scene in which nothing is handed over.
     """
     pool = Pool.of(flags)
-    choice = _played(pool, CHOICE, flags.starts, workers, tick)
+    thresholds: tuple[float | None, ...] = flags.taxel_threshold or (None,)
+    choices = _played(pool, CHOICE, flags.starts, workers, tick)
     # The same candidates for all ways to wait.
-    pool = pool.without(np.any([starts.early for starts in choice.values()], axis=0))
-    wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.columns))
-    if not choice[wait].take(pool.columns).good.any():
+    pools = [
+        pool.without(np.any([starts.early for starts in choice.values()], axis=0))
+        for choice in choices
+    ]
+    if not any(
+        starts.take(pool.columns).good.any()
+        for choice in choices
+        for starts in choice.values()
+    ):
         raise ValueError("skin: no taxel feels any start in time; choose other places")
-    _require_use(choice[wait], wait, pool, workers)
-    test = _played(pool, TEST, flags.test_starts, workers, tick)
-    judge = Judge(choice, test, len(pool.scenes))
-    rows = [judge.row(name, columns) for name, columns in pool.beside.items()]
+    blind: dict[float | None, tuple[float, str]] = {}
+    uses = {
+        threshold: _use(choice, pool, workers, blind)
+        for threshold, choice, pool in zip(thresholds, choices, pools, strict=True)
+    }
+    best = max(uses.values(), key=lambda use: use.touch - use.blind)
+    if not best.pays:
+        raise ValueError(
+            f"scene: touch cannot help here: a hand that goes by {best.sense} succeeds in "
+            f"{best.blind:.2f} of the starts, one that feels with the whole skin in {best.touch:.2f}"
+        )
+    tests = _played(pool, TEST, flags.test_starts, workers, tick)
+    designs = [
+        _judged(*parts, uses)
+        for parts in zip(thresholds, pools, choices, tests, strict=True)
+    ]
+    rows = [row for one in designs for row in one.rows]
+    return replace(designs[0], rows=rows)
+
+
+def _judged(
+    threshold: float | None,
+    pool: Pool,
+    choice: ByWait,
+    test: ByWait,
+    uses: dict[float | None, Use],
+) -> Design:
+    """Return what is chosen for one threshold, beside what it is compared with."""
+    judge = Judge(choice, test, pool)
+    rows = [judge.row(name, columns) for name, columns in pool.references.items()]
     best = max(rows, key=lambda row: row.success).layout if rows else None
     rows.append(judge.row("whole skin", pool.columns))
     chosen: dict[int, list[int]] = {}
-    for n in flags.numbers:
+    for n in pool.flags.numbers:
         picked = _choose(choice, pool, n)
-        chosen[n] = [i for i in picked.taxels if i >= pool.n_kept]
+        chosen[n] = [i for i in picked.taxels if i >= pool.n_existing]
         columns = [pool.columns[i] for i in picked.taxels]
         row = replace(
             judge.row("chosen", columns),
             taxels=n,
             chosen_from=picked.value,
+            chosen_worst=picked.worst,
             bound=picked.bound,
         )
         if best:
-            difference = judge.difference(columns, pool.beside[best])
+            difference = judge.difference(columns, pool.references[best])
             row = replace(row, difference=difference)
-        rows += [row, judge.random(n, pool, np.random.default_rng([flags.seed, n]))]
-    worth = choice[judge.wait(columns)].take(pool.columns).worth
-    return Design(pool, chosen, worth, judge.hopeless, best, rows)
+        rng = np.random.default_rng([pool.flags.seed, n])
+        rows += [row, judge.random(n, rng)]
+    rows = [replace(row, threshold=threshold) for row in rows]
+    return Design(pool, choice, test, chosen, judge.hopeless, best, rows, uses)
 
 
-def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
-    """Play `n` starts of each scene with the whole skin, for each way to wait."""
+def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[ByWait]:
+    """Play `n` starts of each scene with the whole skin, for each way to wait; return them for each
+    threshold."""
     first += 2 * gate.SEARCH * pool.flags.seed
     numbers = range(first, first + n)
-    played: ByWait = {}
+    thresholds = pool.flags.taxel_threshold or (None,)
+    played: list[ByWait] = [{} for _ in thresholds]
     for wait in pool.flags.start_closing or (None,):
         parts = [
             record(
                 pool.env, scene.waiting(wait), pool.skin, numbers, workers, tick,
-                scene.weight,
+                scene.weight, thresholds,
             )
             for scene in pool.scenes
         ]  # fmt: skip
-        played[wait] = Starts.joined(parts)
+        for by_wait, of_scenes in zip(played, zip(*parts, strict=True), strict=True):
+            by_wait[wait] = Starts.joined(of_scenes)
     return played
 
 
 def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
     """Choose the best `n` taxels of all ways to wait, with the bound of all."""
-    k, kept = n + pool.n_kept, range(pool.n_kept)
-    every = [
-        cover.choose(starts.take(pool.columns), k, kept, pool.overlap)
+    losses = pool.losses.members[:, pool.columns] if pool.flags.survives else None
+    sets = [
+        cover.choose(
+            starts.take(pool.columns),
+            n + pool.n_existing,
+            range(pool.n_existing),
+            pool.overlap,
+            losses,
+        )
         for starts in choice.values()
     ]
-    bounds = [one.bound for one in every if one.bound is not None]
-    best = max(every, key=lambda one: one.value)
-    return best._replace(bound=max(bounds) if len(bounds) == len(every) else None)
+    best = max(sets, key=lambda chosen: (chosen.worst or 0.0, chosen.value))
+    bounds = [chosen.bound for chosen in sets if chosen.bound is not None]
+    return best._replace(bound=max(bounds) if len(bounds) == len(sets) else None)
 
 
 class Judge:
     """Says what sets of taxels win in starts from which none of them was chosen. A set waits as suited
     it best in those to choose from."""
 
-    def __init__(self, choice: ByWait, test: ByWait, n_scenes: int = 1) -> None:
-        self._choice, self._test = choice, test
+    def __init__(self, choice: ByWait, test: ByWait, pool: Pool) -> None:
+        self._choice, self._test, self._pool = choice, test, pool
         self._weights = next(iter(test.values())).weights
-        rng, n = np.random.default_rng(0), len(self._weights) // n_scenes
+        rng, n_scenes = np.random.default_rng(0), len(pool.scenes)
+        n = len(self._weights) // n_scenes
         # Within each scene: which ones there are is not by chance.
         counts = [statistics.resample(rng, n, N_RESAMPLES) for _ in range(n_scenes)]
         self._counts = np.vstack(counts)
 
     def wait(self, taxels: Sequence[int]) -> float | None:
         """Return how far the hand is closed meanwhile; None for as the scene has it."""
-        return max(self._choice, key=lambda w: cover.value(self._choice[w], taxels))
+        losses = self._pool.losses.members if self._pool.flags.survives else None
+        return max(
+            self._choice,
+            key=lambda wait: round(cover.score(self._choice[wait], taxels, losses), 12),
+        )
 
     @property
     def hopeless(self) -> float:
@@ -197,67 +287,85 @@ class Judge:
         return float(self._weights @ ~np.any(can, axis=0))
 
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
-        """Return success, with its interval, and share felt."""
-        won, felt = self._won_and_felt(taxels)
-        interval = self._mean(won)[1:]
-        if np.allclose(self._weights, 1 / len(won)):
-            interval = statistics.wilson_interval(int(won.sum()), len(won))
+        """Return success, with its interval, share felt, and the same after the worst loss."""
+        wait, losses = self.wait(taxels), self._pool.losses
+        starts = self._test[wait]
+        worst, lost = cover.worst_loss(starts, taxels, losses.members)
+        left = taxels
+        if lost is not None:
+            left = cover.left_after(taxels, losses.members[[lost]])[0]
         return Row(
             layout=layout,
             taxels=len(taxels),
-            success=float(self._weights @ won),
-            felt=float(self._weights @ felt),
-            success_interval=interval,
-            start_closing=self.wait(taxels),
+            success=cover.value(starts, taxels),
+            felt=float(self._weights @ cover.felt(starts, taxels)),
+            worst=worst,
+            success_interval=self._interval(cover.successes(starts, taxels)),
+            worst_interval=self._interval(cover.successes(starts, left)),
+            lost=None if lost is None else losses.names[lost],
+            start_closing=wait,
         )
 
-    def random(self, n: int, pool: Pool, rng: np.random.Generator) -> Row:
+    def random(self, n: int, rng: np.random.Generator) -> Row:
         """Return means over random sets of `n` taxels, or as many as find room."""
-        sets = [self._won_and_felt(drawn(n, pool, rng)) for _ in range(RANDOM_SETS)]
-        success, felt = (np.mean(sets, axis=0) @ self._weights).tolist()
-        return Row("random", n, success, felt)
+        sets = [drawn(n, self._pool, rng) for _ in range(RANDOM_SETS)]
+        scores = []
+        for taxels in sets:
+            starts = self._test[self.wait(taxels)]
+            felt = self._weights @ cover.felt(starts, taxels)
+            worst, _ = cover.worst_loss(starts, taxels, self._pool.losses.members)
+            scores.append((cover.value(starts, taxels), felt, worst))
+        return Row("random", n, *np.mean(scores, axis=0).tolist())
 
     def difference(self, a: Sequence[int], b: Sequence[int]) -> statistics.Estimate:
         """Return by how much the success of `a` is above that of `b` in the same starts, with its
         interval."""
-        won = [self._won_and_felt(taxels)[0].astype(float) for taxels in (a, b)]
+        won = [
+            cover.successes(self._test[self.wait(taxels)], taxels).astype(float)
+            for taxels in (a, b)
+        ]
         return self._mean(won[0] - won[1])
 
-    def _won_and_felt(self, taxels: Sequence[int]) -> tuple[Array, Array]:
-        """Tell of each start, bool (n,): does it succeed? Is it felt?"""
-        starts = self._test[self.wait(taxels)]
-        return cover.successes(starts, taxels), cover.felt(starts, taxels)
+    def _interval(self, won: Array) -> tuple[float, float]:
+        """Return the 95 % interval of a success rate, from which starts were won, bool (n,)."""
+        if np.allclose(self._weights, 1 / len(won)):
+            return statistics.wilson_interval(int(won.sum()), len(won))
+        return self._mean(won)[1:]
 
     def _mean(self, scores: Array) -> statistics.Estimate:
         return statistics.mean(len(scores) * self._weights * scores, self._counts)
 
 
 def drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
-    """Draw columns: the kept taxels, and `n` random ones that do not overlap."""
-    kept, free = pool.columns[: pool.n_kept], pool.columns[pool.n_kept :]
+    """Draw columns: those that the hand has, and `n` random ones that do not overlap."""
+    existing, free = pool.columns[: pool.n_existing], pool.columns[pool.n_existing :]
     if pool.overlap is None:
-        return kept + rng.choice(free, n, replace=False).tolist()
-    taxels = list(range(pool.n_kept))
-    for taxel in pool.n_kept + rng.permutation(len(free)):
-        if len(taxels) < pool.n_kept + n and not pool.overlap[taxel, taxels].any():
+        return existing + rng.choice(free, n, replace=False).tolist()
+    taxels = list(range(pool.n_existing))
+    for taxel in pool.n_existing + rng.permutation(len(free)):
+        if len(taxels) < pool.n_existing + n and not pool.overlap[taxel, taxels].any():
             taxels.append(int(taxel))
     return [pool.columns[taxel] for taxel in taxels]
 
 
-def _require_use(starts: Starts, wait: float | None, pool: Pool, workers: int) -> None:
-    """Raise ValueError where touch has nothing to win."""
-    n, rate, senses = min(pool.flags.starts, 100), 0.0, dict[str, None]()
-    for scene in pool.scenes:
-        blind = gate.examine(
-            pool.env, scene.waiting(wait), n, max(1, n // 20), 0, workers,
-            senses=("joints", "sight"),
-        )  # fmt: skip
-        best = max(blind, key=lambda each: each.rate)
-        rate += scene.weight * best.rate
-        senses[best.name] = None
-    worth = cover.value(starts, pool.columns)
-    if worth - rate < gate.TELLS:
-        raise ValueError(
-            f"scene: touch cannot help here: a hand that goes by {' or '.join(senses)} succeeds in "
-            f"{rate:.2f} of the starts, one that feels with the whole skin in {worth:.2f}"
-        )
+def _use(
+    choice: ByWait,
+    pool: Pool,
+    workers: int,
+    blind: dict[float | None, tuple[float, str]],
+) -> Use:
+    """Return what touch has to win, for a hand that waits as suits all candidates best. `blind` keeps
+    what hands without touch win, by how they wait."""
+    wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.columns))
+    if wait not in blind:
+        n, rate, senses = min(pool.flags.starts, 100), 0.0, dict[str, None]()
+        for scene in pool.scenes:
+            hands = gate.examine(
+                pool.env, scene.waiting(wait), n, max(1, n // 20), 0, workers,
+                senses=("joints", "sight"),
+            )  # fmt: skip
+            best = max(hands, key=lambda hand: hand.rate)
+            rate += scene.weight * best.rate
+            senses[best.name] = None
+        blind[wait] = rate, " or ".join(senses)
+    return Use(cover.value(choice[wait], pool.columns), *blind[wait])

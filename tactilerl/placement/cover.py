@@ -2,7 +2,9 @@
 
 A start counts for a set of taxels where the first of them to fire does so at a moment from which
 closing succeeds. Where no taxel fires too early, that is maximum coverage (Nemhauser, Wolsey and
-Fisher 1978).
+Fisher 1978). Losses, bool (g, m), say which taxels fail together: each row is a taxel, a digit, or
+what shares a board. What counts then is success after the worst of them, and among equals success
+without any.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ NEVER = 255
 """The moment of what does not happen; moments are numbers of actions."""
 MOST_SWAPS = 20  # which settle long before
 NODES = 200  # of a search by branch and bound
+MOST_ROWS = 6_000  # of a linear program; larger ones are left to greedy search
 TIE = 1e-9  # what the worth of a taxel counts for among sets that are equally good
+INTACT = 1e-6  # what success without a loss counts for among sets whose worst losses are equal
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class Starts:
     """(n, NEVER + 1) bool: does a hand succeed that closes after so many actions? False where
     nobody asked, and for NEVER."""
     sets_off: Array
-    """(n,) before which action the object begins to come."""
+    """(n,) before which action no reading can tell that the object comes."""
     lets_go: Array
     """(n,) before which action it is let go."""
     weights: Array
@@ -75,8 +79,10 @@ class Chosen(NamedTuple):
     taxels: list[int]
     value: float
     """Share of the starts that count."""
+    worst: float | None
+    """The same after the worst loss; None where no losses were thought of."""
     bound: float | None
-    """No set of as many has more; None where nobody knows."""
+    """No set of as many has more, of `worst` where that is known; None where nobody knows."""
 
 
 def first_firing(starts: Starts, taxels: Sequence[int]) -> Array:
@@ -99,6 +105,33 @@ def value(starts: Starts, taxels: Sequence[int]) -> float:
     return float(starts.weights @ successes(starts, taxels))
 
 
+def left_after(taxels: Sequence[int], losses: Array) -> list[list[int]]:
+    """Return what each loss leaves of these taxels (g,)."""
+    return [[taxel for taxel in taxels if not lost[taxel]] for lost in losses]
+
+
+def worst_loss(
+    starts: Starts, taxels: Sequence[int], losses: Array
+) -> tuple[float, int | None]:
+    """Return the share of the starts that a hand with these taxels wins after the worst loss, and
+    which loss that is; None where no loss costs anything."""
+    intact = value(starts, taxels)
+    is_hit = losses[:, list(taxels)].any(axis=1)
+    after = np.full(len(losses), intact)
+    after[is_hit] = [value(starts, left) for left in left_after(taxels, losses[is_hit])]
+    worst = int(np.argmin(after.round(12)))
+    if after[worst] > intact - 1e-12:
+        return intact, None
+    return float(after[worst]), worst
+
+
+def score(starts: Starts, taxels: Sequence[int], losses: Array | None) -> float:
+    """Return what is maximised: success, or success after the worst loss and then success."""
+    if losses is None:
+        return value(starts, taxels)
+    return worst_loss(starts, taxels, losses)[0] + INTACT * value(starts, taxels)
+
+
 def values_with_each(starts: Starts, taxels: Sequence[int]) -> Array:
     """Return the share of the starts that these taxels win together with each other one (m,)."""
     moments = np.minimum(first_firing(starts, taxels)[:, None], starts.fires)
@@ -106,20 +139,40 @@ def values_with_each(starts: Starts, taxels: Sequence[int]) -> Array:
     return np.asarray(starts.weights @ starts.succeeds[rows, moments])
 
 
+def scores_with_each(
+    starts: Starts, taxels: Sequence[int], losses: Array | None
+) -> Array:
+    """Return the `score` of these taxels together with each other one (m,)."""
+    values = values_with_each(starts, taxels)
+    if losses is None:
+        return values
+    is_hit = losses[:, list(taxels)].any(axis=1)
+    is_hit_alone = losses[~is_hit].any(axis=0)  # then the other taxels are left
+    worst = np.where(is_hit_alone, np.minimum(values, value(starts, taxels)), values)
+    for lost, left in zip(
+        losses[is_hit], left_after(taxels, losses[is_hit]), strict=True
+    ):
+        after = np.where(lost, value(starts, left), values_with_each(starts, left))
+        worst = np.minimum(worst, after)
+    return worst + INTACT * values
+
+
 def greedy(
     starts: Starts,
     k: int,
-    kept: Sequence[int] = (),
+    existing: Sequence[int] = (),
     overlap: Array | None = None,
+    losses: Array | None = None,
+    first: Sequence[int] | None = None,
 ) -> list[int]:
     """Choose `k` taxels one after another, then swap them as long as that gains something.
 
-    Those `kept` stay, and no two are chosen that `overlap`, bool (m, m). ValueError where there is
-    no room.
+    Those `existing` stay, and no two are chosen that `overlap`, bool (m, m). `first` are the
+    taxels to begin with. ValueError where there is no room.
     """
     n_taxels = starts.fires.shape[1]
     ties = TIE * starts.worth
-    chosen = list(kept)
+    chosen = list(existing if first is None else first)
 
     def best_addition(rests: list[list[int]]) -> list[int]:
         """Return the best set that is one of the `rests` and one taxel more."""
@@ -130,75 +183,106 @@ def greedy(
                 is_taken |= overlap[rest].any(axis=0)
             is_taken[rest] = True
             is_free = ~is_taken
-            row[is_free] = (values_with_each(starts, rest).round(12) + ties)[is_free]
+            each = scores_with_each(starts, rest, losses).round(12) + ties
+            row[is_free] = each[is_free]
         at, taxel = divmod(int(np.argmax(scores)), n_taxels)
         if not np.isfinite(scores[at, taxel]):
-            room = (
-                f"{len(chosen) - len(kept)}; there is no room for more of this radius"
-            )
-            raise ValueError(f"taxels: found {k - len(kept)}, allowed up to {room}")
+            room = f"{len(chosen) - len(existing)}; there is no room for more of this radius"
+            raise ValueError(f"taxels: found {k - len(existing)}, allowed up to {room}")
         return [*rests[at], taxel]
 
     while len(chosen) < k:
         chosen = best_addition([chosen])
+    reached = score(starts, chosen, losses)
     for _ in range(MOST_SWAPS):
-        rests = [[i for i in chosen if i != out] for out in chosen if out not in kept]
+        rests = [
+            [i for i in chosen if i != out] for out in chosen if out not in existing
+        ]
         swapped = best_addition(rests) if rests else chosen
-        if value(starts, swapped) <= value(starts, chosen) + 1e-12:
+        gained = score(starts, swapped, losses) - reached
+        if gained <= 1e-12:
             break
-        chosen = swapped
+        chosen, reached = swapped, reached + gained
     return chosen
 
 
 def choose(
     starts: Starts,
     k: int,
-    kept: Sequence[int] = (),
+    existing: Sequence[int] = (),
     overlap: Array | None = None,
+    losses: Array | None = None,
 ) -> Chosen:
     """Choose the best `k` taxels of which no two `overlap`, by mixed-integer programming; where that
-    takes more than `NODES` nodes of the search, by `greedy`, and then with a bound or without."""
-    exact, bound = _exact(starts, k, kept, overlap)
+    takes too long, by `greedy`, and then with a bound or without."""
+    exact, bound = _exact(starts, k, existing, overlap, losses)
+    sets = [] if exact is None else [exact]
+    firsts: list[Sequence[int]] = [existing]
+    if (
+        losses is not None
+    ):  # from what is best without a loss, and from what the program found
+        firsts += [choose(starts, k, existing, overlap).taxels, *sets]
     try:
-        taxels = greedy(starts, k, kept, overlap)
+        sets += [
+            greedy(starts, k, existing, overlap, losses, first) for first in firsts
+        ]
     except ValueError:  # it left no room for as many, which there may be
         if exact is None:
             raise
-        taxels = exact
-    best = value(starts, taxels)
-    if exact is not None and (reached := value(starts, exact)) >= best - 1e-12:
-        taxels, best = exact, reached
-    return Chosen(sorted(taxels), best, None if bound is None else max(bound, best))
+    best = max(sets, key=lambda taxels: round(score(starts, taxels, losses), 12))
+    worst = None if losses is None else worst_loss(starts, best, losses)[0]
+    reached = value(starts, best)
+    if bound is not None:
+        bound = max(bound, reached if worst is None else worst)
+    return Chosen(sorted(best), reached, worst, bound)
 
 
 def _exact(
-    starts: Starts, k: int, kept: Sequence[int], overlap: Array | None
+    starts: Starts,
+    k: int,
+    existing: Sequence[int],
+    overlap: Array | None,
+    losses: Array | None,
 ) -> tuple[list[int] | None, float | None]:
     """Return taxels and a bound, each None where there is none.
 
     A variable for each taxel, and for each start one for each run of moments between those that are
-    too early: which of them holds the first firings?
+    too early: which of them holds the first firings? With losses, the same again for each start that
+    a loss changes, and a last variable that none of the sums after a loss is below.
     """
-    rows, gains = _constraints(starts)
-    m, n = starts.fires.shape[1], len(gains)
-    if not n:
+    m = starts.fires.shape[1]
+    rows, gains, after = _program(starts, losses)
+    n = len(gains)
+    if not any(gains):
         return None, 0.0
+    if len(rows) > MOST_ROWS:
+        return None, None
     if overlap is not None:
         for i, j in np.argwhere(np.triu(overlap)).tolist():
-            if not (i in kept and j in kept):
+            if not (i in existing and j in existing):
                 rows.append(({i: 1.0, j: 1.0}, 1.0))
-    matrix = sparse.lil_array((len(rows), m + n))
+    if losses is not None:
+        rows += [
+            ({**{z: -g for z, g in sums.items()}, m + n: 1.0}, 0.0) for sums in after
+        ]
+    matrix = sparse.lil_array((len(rows), m + n + 1))
     for at, (row, _) in enumerate(rows):
         matrix[at, list(row)] = list(row.values())
     limits = np.array([limit for _, limit in rows])
-    lower = np.zeros(m + n)
-    lower[list(kept)] = 1.0
-    is_taxel = np.r_[np.ones(m), np.zeros(n)]
-    ties = 0.1 * starts.weights.min() / k * starts.worth
+    lower = np.zeros(m + n + 1)
+    lower[list(existing)] = 1.0
+    is_equal = np.ptp(starts.weights) == 0.0
+    # What decides among equals must not pass for a start that is won.
+    least = starts.weights.min() * (1.0 if is_equal else 1e-3)
+    is_taxel = np.r_[np.ones(m), np.zeros(n + 1)]
+    ties = 0.1 * least / k * starts.worth
+    objective = np.r_[ties, gains, 0.0]
+    if losses is not None:
+        objective = np.r_[0.5 * least * objective[:-1], 1.0]
     solved = optimize.milp(
-        -np.r_[ties, gains],
+        -objective,
         integrality=is_taxel,
-        bounds=optimize.Bounds(lower, np.ones(m + n)),
+        bounds=optimize.Bounds(lower, np.ones(m + n + 1)),
         constraints=[
             optimize.LinearConstraint(matrix.tocsr(), -np.inf, limits),
             optimize.LinearConstraint(is_taxel[None], k, k),
@@ -208,7 +292,7 @@ def _exact(
     bound = solved.mip_dual_bound
     if bound is None or not np.isfinite(bound):
         bound = None
-    elif np.ptp(starts.weights) == 0.0:  # whole starts
+    elif is_equal:  # whole starts
         bound = int(-bound * len(starts) + 1e-6) / len(starts)
     else:
         bound = -float(bound)
@@ -217,33 +301,53 @@ def _exact(
     return np.flatnonzero(solved.x[:m] > 0.5).tolist(), bound
 
 
-Row = tuple[dict[int, float], float]
+Constraint = tuple[dict[int, float], float]
 """Coefficients by column, and the upper limit, of a linear constraint."""
 
 
-def _constraints(starts: Starts) -> tuple[list[Row], list[float]]:
-    """Return the constraints, and the weight of each variable of a start; starts in which the same
-    happens count together."""
+def _program(
+    starts: Starts, losses: Array | None
+) -> tuple[list[Constraint], list[float], list[dict[int, float]]]:
+    """Return the constraints, the weight of each variable of a start without a loss (0 of others),
+    and for each loss, and for none, the variables that count after it with their weights; starts in
+    which the same happens count together."""
     m = starts.fires.shape[1]
     happens = np.hstack([starts.fires, starts.good])
     patterns, which = np.unique(happens, axis=0, return_inverse=True)
-    weights = np.bincount(which.reshape(-1), starts.weights)
-    rows: list[Row] = []
+    weights = np.bincount(which.reshape(-1), starts.weights).tolist()
+    rows: list[Constraint] = []
     gains: list[float] = []
-    for pattern, weight in zip(patterns, weights.tolist(), strict=True):
-        fires, is_good = pattern[:m], pattern[m:].astype(bool)
+    lost = np.zeros((0, m), bool) if losses is None else losses
+    after: list[dict[int, float]] = [{} for _ in range(len(lost) + 1)]
+
+    def add(
+        fires: Array, is_good: Array, weight: float, gain: float
+    ) -> dict[int, float]:
+        """Add variables of a start, and return their weights."""
         last: dict[
             int, int
         ] = {}  # moment of each run, by how many taxels are too early
         for moment in np.unique(fires[is_good]).tolist():
             last[int((~is_good & (fires < moment)).sum())] = moment
         runs = range(m + len(gains), m + len(gains) + len(last))
-        gains += [weight] * len(last)
+        gains.extend([gain] * len(last))
         for run, moment in zip(runs, last.values(), strict=True):
             good = np.flatnonzero(is_good & (fires <= moment)).tolist()
             early = np.flatnonzero(~is_good & (fires < moment)).tolist()
             rows.append(({**dict.fromkeys(good, -1.0), run: 1.0}, 0.0))
-            rows += [({taxel: 1.0, run: 1.0}, 1.0) for taxel in early]
+            rows.extend(({taxel: 1.0, run: 1.0}, 1.0) for taxel in early)
         if len(runs) > 1:
             rows.append((dict.fromkeys(runs, 1.0), 1.0))
-    return rows, gains
+        return dict.fromkeys(runs, weight)
+
+    for pattern, weight in zip(patterns, weights, strict=True):
+        fires, is_good = pattern[:m], pattern[m:].astype(bool)
+        intact = add(fires, is_good, weight, weight)
+        after[-1] |= intact
+        for members, counts in zip(lost, after, strict=False):
+            if (members & (fires < NEVER)).any():
+                left = np.where(members, NEVER, fires)
+                counts |= add(left, is_good & ~members, weight, 0.0)
+            else:
+                counts |= intact
+    return rows, gains, after

@@ -1,54 +1,70 @@
-"""What a design leaves: layout files, and in a folder its figures and JSON."""
+"""What a design leaves: layout files, a picture, and in a folder a page and JSON."""
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
-from ..errors import InputError, extra
+import numpy as np
+
+from ..envs import layouts
+from ..errors import InputError
 from ..files import locked, replacing, require_new
+from ..pictures.hand_map import TaxelMap, save_picture
 from .choice import Design
+from .page import page
+
+PIXELS = 900  # height of the hand in its picture
 
 
-def require(out: Path, numbers: Sequence[int], overwrite: bool) -> None:
-    """Raise InputError where nothing can be written to `out`, before minutes of playing."""
+def paths(out: Path, numbers: Sequence[int]) -> list[Path]:
+    """Return which files are written, layouts first; InputError where `out` can be no such place."""
     if out.suffix == ".toml":
         if len(numbers) > 1:
             allowed = "a folder for several numbers of taxels"
             raise InputError(f"--out: found {str(out)!r}, allowed {allowed}")
         if not out.parent.is_dir():
             raise InputError(f"--out: found no folder {str(out.parent)!r}")
-    elif out.suffix or (out.exists() and not out.is_dir()):
+        return [out, out.with_suffix(".png")]
+    if out.suffix or (out.exists() and not out.is_dir()):
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
-    else:
-        with extra("plots"):
-            from . import figures  # noqa: F401
-        names = [f"design_{n}.toml" for n in numbers]
-        names += ["design.json", "hand.png", "curve.png"]
-        for name in names:
-            require_new(out / name, overwrite)
-    require_new(out, overwrite)
+    names = [f"design_{n}.toml" for n in numbers]
+    return [out / name for name in [*names, "hand.png", "design.html", "design.json"]]
+
+
+def require(out: Path, numbers: Sequence[int], overwrite: bool) -> None:
+    """Raise InputError where nothing can be written to `out`, before minutes of playing."""
+    for path in [out, *paths(out, numbers)]:
+        require_new(path, overwrite)
 
 
 def write(design: Design, out: Path) -> list[Path]:
-    """Write the layout, or all there is, layouts first; return which files those are."""
-    if out.suffix == ".toml":
-        return [_layout(design, max(design.chosen), out)]
-    from . import figures
+    """Write the layouts, a picture, and in a folder a page and JSON; return which files those are.
 
-    with locked(out):
-        files = [_layout(design, n, out / f"design_{n}.toml") for n in design.chosen]
-        files.append(out / "design.json")
-        with replacing(files[-1]) as file:
-            file.write((json.dumps(design.as_dict(), indent=1) + "\n").encode())
-        for name, figure in figures.of_design(design).items():
-            files.append(out / f"{name}.png")
-            figures.save(figure, files[-1])
-        return files
+    ValueError where a layout would not be read again, and then nothing is written.
+    """
+    texts = [design.layout(n).toml() for n in design.chosen]
+    for text in texts:
+        layouts.load(text).place(design.pool.hand)
+    contents = [*(text.encode() for text in texts), _picture(design)]
+    files = paths(out, list(design.chosen))
+    if len(files) > len(contents):
+        contents.append(page(design))
+        contents.append((json.dumps(design.as_dict(), indent=1) + "\n").encode())
+    with nullcontext() if out.suffix else locked(out):
+        for path, content in zip(files, contents, strict=True):
+            with replacing(path) as file:
+                file.write(content)
+    return files
 
 
-def _layout(design: Design, n: int, path: Path) -> Path:
-    with replacing(path) as file:
-        file.write(design.layout(n).toml().encode())
-    return path
+def _picture(design: Design) -> bytes:
+    """Return a PNG of the unrolled hand with all candidates, the largest chosen set lit."""
+    pool, file = design.pool, io.BytesIO()
+    chosen = design.columns(max(design.chosen))
+    drawn = TaxelMap(pool.hand, pool.taxels, PIXELS)
+    save_picture(drawn.picture(np.isin(pool.columns, chosen)), file, ".png")
+    return file.getvalue()

@@ -18,7 +18,7 @@ from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.layouts import Taxels
 from ..envs.simulators import SimulationError
 from ..envs.state import Array
-from ..envs.touch import RULES
+from ..envs.touch import RULES, ForceRule
 from ..pictures import places
 from ..scripted.gate import NO_FAULTS
 from ..scripted.reflexes import Reflex
@@ -51,14 +51,27 @@ class Skin:
 
 class SkinnedEnv(GraspEnv):
     """An environment that reads more taxels than one layout may have: of some that lie in the same
-    place, and differ in size."""
+    place, and differ in size; and each with several thresholds."""
 
-    def __init__(self, hand: str, config: GraspConfig, taxels: Taxels) -> None:
-        if config.touch_rule == "contact":
-            allowed = "rules that any taxel can be read by later"
-            raise ValueError(f"touch: found contact, allowed {allowed}")
+    def __init__(
+        self, hand: str, config: GraspConfig, taxels: Taxels, thresholds: Array
+    ) -> None:
+        """Take the thresholds (t, n) in N at which each taxel fires."""
+        allowed = {"skin"} if thresholds.any() else set(RULES) - {"contact"}
+        if config.touch_rule not in allowed:
+            found = f"found {config.touch_rule}, allowed {' or '.join(sorted(allowed))}"
+            raise ValueError(f"touch_rule: {found}")
         super().__init__(hand, config)
-        self.taxels, self._touch = taxels, RULES[config.touch_rule](taxels, self.hand)
+        self.taxels, self._thresholds = taxels, thresholds
+        rule = ForceRule if thresholds.any() else RULES[config.touch_rule]
+        self._touch = rule(taxels, self.hand)
+
+    def firing(self) -> Array:
+        """Tell which taxels fire with each threshold, bool (t, n)."""
+        if not isinstance(self._touch, ForceRule) or not self._thresholds.any():
+            return self.taxel_readings()[None] > 0
+        is_on, forces = self._touch.feel(self.simulator.state())
+        return np.asarray(is_on & (forces >= self._thresholds))
 
 
 def record(
@@ -69,27 +82,42 @@ def record(
     workers: int,
     tick: Callable[[], None] = lambda: None,
     weight: float = 1.0,
-) -> Starts:
-    """Play the starts that the seeds `numbers` draw in a scene, which together weigh `weight`. `tick`
-    is called after every start."""
+    thresholds: Sequence[float | None] = (None,),
+) -> list[Starts]:
+    """Play the starts that the seeds `numbers` draw in a scene, which together weigh `weight`, and
+    return them for each threshold in N (None: the scene's, or each taxel's own). `tick` is called
+    after every start."""
     blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
-    make = partial(SkinnedEnv, hand, replace(scene, **blind), skin.taxels)
+    usual = scene.taxel_threshold
+    forces = [usual if threshold is None else threshold for threshold in thresholds]
+    own = skin.taxels.thresholds
+    needed = np.array([own if f is None else np.full(len(own), f) for f in forces])
+    make = partial(SkinnedEnv, hand, replace(scene, **blind), skin.taxels, needed)
+    play = partial(_play, delay=scene.taxel_delay, n_thresholds=len(needed))
     rows = []
     with closing(vector.start(make, workers)) as played_in:
-        for row in played_in.play(_play, numbers):
+        for row in played_in.play(play, numbers):
             rows.append(row)
             tick()
     fires, succeeds, sets_off, lets_go = map(np.array, zip(*rows, strict=True))
     weights = np.full(len(rows), weight / len(rows))
-    return Starts(fires, succeeds, sets_off, lets_go, weights)
+    return [
+        Starts(fires[:, i], succeeds, sets_off, lets_go, weights)
+        for i in range(len(needed))
+    ]
 
 
 def _play(
-    env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
+    env: gym.Env[Any, Any],
+    number: int,
+    is_wanted: vector.IsWanted,
+    delay: int,
+    n_thresholds: int,
 ) -> tuple[Array, Array, int, int]:
-    """Return a row of each array of `Starts`. A start in which the physics breaks is felt by nobody."""
+    """Return a row of each array of `Starts`, of taxels whose readings come `delay` actions late, with
+    a row of first firings for each threshold. A start in which the physics breaks is felt by nobody."""
     base: Any = env.unwrapped
-    fires = np.full(len(base.taxels), NEVER, np.uint8)
+    fires = np.full((n_thresholds, len(base.taxels)), NEVER, np.uint8)
     succeeds = np.zeros(NEVER + 1, bool)
     try:
         env.reset(seed=number)
@@ -97,7 +125,9 @@ def _play(
         return fires, succeeds, 0, 0
     waiting, step, is_over = base.hand.start_targets(), 0, False
     while not is_over and is_wanted():
-        fires[(fires == NEVER) & (base.taxel_readings() > 0)] = step
+        # The first reading is there from the beginning, however late the others are.
+        moment = min(step + delay, NEVER) if step else 0
+        fires[(fires == NEVER) & base.firing()] = moment
         *_, terminated, truncated, _ = base.step_to(waiting)
         step, is_over = step + 1, terminated or truncated
     sets_off = base.task.sets_off
@@ -105,4 +135,4 @@ def _play(
         if not is_wanted():
             break
         succeeds[moment] = Reflex("time", moment, 1.0).play(env, number)
-    return fires, succeeds, sets_off, sets_off + base.task.stays
+    return fires, succeeds, sets_off + delay, sets_off + base.task.stays

@@ -1,17 +1,24 @@
 """Design: the best taxels of recorded starts, judged on others; what it writes, and what it refuses."""
 
+import dataclasses
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import tactilerl
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands
+from tactilerl.envs import hands, layouts, scenes
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.hands import Point
+from tactilerl.envs.layouts import Taxels
 from tactilerl.placement import choice, cover
-from tactilerl.placement.candidates import DesignFlags, Pool, candidates
+from tactilerl.placement.candidates import DesignFlags, Pool, candidates, losses_of, overlap
 from tactilerl.placement.cover import NEVER, Starts
+from tactilerl.placement.recording import Skin, record
+from tactilerl.scripted.reflexes import Reflex
 
 from one_line import fails_with
 
@@ -32,22 +39,62 @@ def starts_of(fires, succeeds):
     return Starts(np.array(fires, np.uint8), succeeds, np.zeros(n), np.zeros(n), np.full(n, 1 / n))
 
 
+def best_of(starts, k, existing=(), overlap=None, losses=None):
+    """The best score of any set."""
+    free = [i for i in range(starts.fires.shape[1]) if i not in existing]
+    sets = [[*existing, *x] for x in itertools.combinations(free, k - len(existing))]
+    if overlap is not None:
+        sets = [x for x in sets if not overlap[np.ix_(x, x)].any()]
+    return max(cover.score(starts, x, losses) for x in sets)
+
+
 class TestCover:
     def test_no_other_set_is_better(self):
-        rng = np.random.default_rng(0)
-        for _ in range(15):
-            starts = some(rng)
-            best = max(cover.value(starts, x) for x in itertools.combinations(range(8), 3))
-            found = cover.choose(starts, 3)
-            assert found.value == pytest.approx(best)
-            assert found.bound == pytest.approx(best)
-            assert found.value == pytest.approx(cover.value(starts, found.taxels))
+        """Whatever fires early, taxels that the hand has already included; and the bound is right."""
+        for seed in range(40):
+            rng = np.random.default_rng(seed)
+            starts, existing = some(rng), [5] if seed % 2 else []
+            starts.fires[:, 5] = np.where(rng.random(12) < 0.3, 3, starts.fires[:, 5])
+            if seed % 3:
+                starts.weights[:] = rng.dirichlet(np.ones(12))
+            result = cover.choose(starts, 3, existing)
+            assert result.value == pytest.approx(best_of(starts, 3, existing))
+            assert result.bound == pytest.approx(result.value, abs=1e-4)
+            assert result.value == pytest.approx(cover.value(starts, result.taxels))
+            assert {*existing} <= {*result.taxels}
+
+    def test_no_other_set_is_better_after_the_worst_loss(self):
+        """Of any one taxel, or of any of three groups, which may share taxels."""
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            starts, losses = some(rng), np.eye(8, dtype=bool)
+            if seed % 2:
+                losses = rng.random((3, 8)) < 0.4
+            result = cover.choose(starts, 4, losses=losses)
+            expected = best_of(starts, 4, losses=losses)
+            assert cover.score(starts, result.taxels, losses) == pytest.approx(expected, abs=1e-9)
+            assert result.bound == pytest.approx(result.worst)
+            greedy = cover.greedy(starts, 4, losses=losses)
+            assert cover.score(starts, greedy, losses) <= expected + 1e-9
 
     def test_one_more_taxel(self):
-        starts = some(np.random.default_rng(1))
-        each = cover.values_with_each(starts, [0, 3])
-        assert each == pytest.approx([cover.value(starts, [0, 3, j]) for j in range(8)])
+        rng = np.random.default_rng(1)
+        starts = some(rng)
+        for losses in (None, np.eye(8, dtype=bool), rng.random((3, 8)) < 0.4):
+            each = cover.scores_with_each(starts, [0, 3], losses)
+            others = [1, 2, 4, 5, 6, 7]
+            assert each[others] == pytest.approx(
+                [cover.score(starts, [0, 3, j], losses) for j in others]
+            )
         assert cover.value(starts, []) == 0.0
+
+    def test_the_worst_loss(self):
+        succeeds = np.zeros((4, NEVER + 1), bool)
+        succeeds[:, 5] = True
+        starts = starts_of([[5, 5], [NEVER, 5], [5, NEVER], [NEVER, 5]], succeeds)
+        assert cover.worst_loss(starts, [0, 1], np.eye(2, dtype=bool)) == (0.5, 1)
+        assert cover.worst_loss(starts, [0, 1], np.ones((1, 2), bool)) == (0.0, 0)
+        assert cover.worst_loss(starts, [0, 1], np.zeros((1, 2), bool)) == (1.0, None)
 
     def test_what_fires_too_early_spoils_a_start(self):
         succeeds = np.zeros((1, NEVER + 1), bool)
@@ -57,23 +104,13 @@ class TestCover:
         assert cover.value(starts, [0, 1]) == 0.0
         assert cover.choose(starts, 2).value == 0.0
 
-    def test_what_the_hand_has_stays(self):
-        starts = some(np.random.default_rng(3))
-        found = cover.choose(starts, 3, kept=[5])
-        others = itertools.combinations([0, 1, 2, 3, 4, 6, 7], 2)
-        best = max(cover.value(starts, [5, *x]) for x in others)
-        assert 5 in found.taxels
-        assert found.value == pytest.approx(best)
-
     def test_no_two_overlap(self):
         starts, overlap = some(np.random.default_rng(4)), np.zeros((8, 8), bool)
         free = cover.choose(starts, 3)
         overlap[np.ix_(free.taxels, free.taxels)] = ~np.eye(3, dtype=bool)
-        found = cover.choose(starts, 3, overlap=overlap)
-        fitting = [x for x in itertools.combinations(range(8), 3) if not overlap[np.ix_(x, x)].any()]
-        assert tuple(found.taxels) in fitting
-        assert found.value <= free.value
-        assert found.value == pytest.approx(max(cover.value(starts, x) for x in fitting))
+        result = cover.choose(starts, 3, overlap=overlap)
+        assert not overlap[np.ix_(result.taxels, result.taxels)].any()
+        assert result.value == pytest.approx(best_of(starts, 3, overlap=overlap))
 
     def test_room_that_greedy_does_not_leave(self):
         succeeds = np.zeros((3, NEVER + 1), bool)
@@ -100,6 +137,94 @@ class TestSizes:
             at = [pool.columns.index(column) for column in drawn]
             assert len(set(drawn)) == 8
             assert not pool.overlap[np.ix_(at, at)].any()
+
+    @pytest.mark.parametrize("name", ["mpl", "shadow"])
+    def test_sensors_keep_their_distance_along_the_skin(self, name):
+        """On a flat palm 6 mm, around a finger as much of its arc, and from one segment to the next."""
+        hand = hands.get(name)
+        taxels = candidates(DesignFlags(radius=3.0), hand)
+        overlapping = overlap(hand, taxels)
+        a, b = np.argwhere(~overlapping & (taxels.surfaces[:, None] == taxels.surfaces)).T
+        apart = np.linalg.norm(taxels.positions[a] - taxels.positions[b], axis=1)
+        assert apart[a != b].min() >= 5.99e-3 * (1 if name == "shadow" else 0.99)
+        is_next = taxels.link_index[:, None] != taxels.link_index
+        assert (overlapping & is_next).any() == (name == "shadow")  # whose links meet
+        finger = next(s for s in hand.surfaces if s.segment == "proximal")
+        places = [finger.place(0.0, column) for column in (0.0, 0.6 * finger.radius)]
+        arc = finger.radius * np.arcsin(0.6)
+        for radius, fits in ((arc / 2 - 1e-5, True), (arc / 2 + 1e-5, False)):
+            points = [Point(finger.link, *place, radius, str(i)) for i, place in enumerate(places)]
+            pair = Taxels(tuple(points), np.zeros(2, int), np.zeros((2, 3)))
+            assert overlap(hand, pair)[0, 1] != fits
+
+    def test_a_margin_to_the_edge(self):
+        hand = hands.get("mpl")
+        taxels = candidates(DesignFlags(margin=4.0), hand)
+        for index, (row, column, _) in zip(taxels.surfaces, taxels.offsets, strict=True):
+            low, high, half_width = hand.surfaces[index].span
+            assert abs(column) <= half_width - 4e-3
+            assert row >= low + 4e-3
+            assert row <= high + half_width - 4e-3
+
+    def test_nothing_is_chosen_in_the_place_of_a_taxel_that_is_there(self, tmp_path):
+        file = tmp_path / "there.toml"
+        file.write_text('[[patch]]\ndigits = ["index"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\n'
+                        "radius_mm = 3\n")  # fmt: skip
+        pool = Pool.of(DesignFlags(scene=("handover",), keep=str(file)))
+        free = pool.skin.taxels.take(pool.columns[1:])
+        there = pool.skin.taxels.points[pool.columns[0]]
+        assert there.radius == pytest.approx(3e-3)
+        assert there[:2] not in [point[:2] for point in free.points]
+        layout = layouts.of_taxels(pool.taxels, pool.hand, "all")
+        assert len(layouts.load(layout.toml()).place(pool.hand)) == len(pool.columns)
+
+
+class TestLosses:
+    def test_digits_segments_and_groups(self, tmp_path):
+        hand = hands.get("mpl")
+        taxels = candidates(DesignFlags(skin="8mm"), hand)
+        on = [(s.digit, s.segment) for s in (hand.surfaces[i] for i in taxels.surfaces)]
+        digits, segments = (losses_of(kind, hand, taxels) for kind in ("digit", "segment"))
+        assert {*digits.names} == {*hand.digits, "palm"}
+        assert (digits.members.sum(axis=0) == 1).all()
+        index = digits.members[digits.names.index("index")]
+        assert [at[0] == "index" and at[1] != "palm" for at in on] == index.tolist()
+        assert {"index.distal", "palm"} < {*segments.names}
+        file = tmp_path / "boards.toml"
+        file.write_text('[[group]]\nname = "a"\ndigits = ["index"]\n[[group]]\nname = "b"\n'
+                        f'segments = ["palm"]\ntaxels = ["{taxels.names[0]}"]\n')  # fmt: skip
+        names, members = losses_of(str(file), hand, taxels)
+        assert names == ("a", "b")
+        assert members[0].tolist() == index.tolist()
+        assert members[1].sum() == sum(at[1] == "palm" for at in on) + 1
+
+    @pytest.mark.parametrize(
+        ("text", "named"),
+        [("", "group"), ('[[group]]\nname = "a"\ndigits = ["toe"]\n', "toe: unknown")],
+    )
+    def test_a_wrong_file_of_groups(self, text, named, tmp_path):
+        hand, file = hands.get("mpl"), tmp_path / "boards.toml"
+        file.write_text(text)
+        with pytest.raises(ValueError, match=named):
+            losses_of(str(file), hand, candidates(DesignFlags(), hand))
+
+
+class TestPrediction:
+    """What is predicted from a recording is what a hand plays."""
+
+    @pytest.mark.parametrize("choices", [{"taxel_delay": 2}, {"taxel_threshold": 0.1}])
+    def test_success_of_a_set(self, choices, tmp_path):
+        scene = scenes.load("handover")
+        config = setup("mpl", **{**scene.on("mpl"), **choices})
+        layout = layouts.load("5")
+        taxels = layout.place(hands.get("mpl"))
+        skin = Skin.of([taxels])
+        (starts,) = record("mpl", config, skin, range(6), 1)
+        expected = cover.successes(starts, skin.columns(taxels))
+        env = GraspEnv("mpl", dataclasses.replace(config, layout="5"))
+        played = [Reflex("touch", 1, 1.0).play(env, number) for number in range(6)]
+        assert played == expected.tolist()
+        assert sum(played) > 0
 
 
 class TestCandidates:
@@ -128,7 +253,9 @@ def test_starts_are_resampled_within_their_scenes():
     succeeds[:4, 5] = True
     starts = starts_of([[5, 5]] * 8, succeeds)
     starts.weights[:] = np.repeat([0.75, 0.25], 4) / 4
-    judge = choice.Judge({None: starts}, {None: starts}, 2)
+    losses = SimpleNamespace(names=("a", "b"), members=np.eye(2, dtype=bool))
+    pool = SimpleNamespace(scenes=[1, 2], losses=losses, flags=SimpleNamespace(survives=""))
+    judge = choice.Judge({None: starts}, {None: starts}, pool)
     assert judge.row("x", [0]).success_interval == pytest.approx([0.75, 0.75])
     assert judge.hopeless == 0.25
 
@@ -143,7 +270,7 @@ class TestCommand:
         assert "taxels for a hand that closes at the first touch" in said
         assert "tactilerl train --scene handover --layout a/design_1.toml" in said
         names = {path.name for path in Path("a").iterdir() if path.name != ".lock"}
-        assert names == {"design.json", "design_1.toml", "design_2.toml", "hand.png", "curve.png"}
+        assert names == {"design.json", "design_1.toml", "design_2.toml", "hand.png", "design.html"}
         for name in names:
             assert Path("a", name).read_bytes() == Path("b", name).read_bytes(), name
         result = json.loads(Path("a/design.json").read_text())
@@ -203,6 +330,11 @@ class TestCommand:
             (["--beside", "9"], "unknown layout '9'"),
             (["--keep", "gone.toml"], "gone.toml"),
             (["--scene", "foot"], "scene: found 'foot'"),
+            (["--scene", "faulty.toml"], "found faulty.toml with taxel_dead 0.1, allowed 0"),
+            (["--survives", "toe"], "survives: found 'toe', allowed taxel, digit, segment"),
+            (["--survives", "gone.toml"], "gone.toml"),
+            (["--margin", "30"], "--margin 30: no taxel is left"),
+            (["--taxel-threshold", "0", "1", "--out", "x.toml"], "--out: found with 2 of"),
             (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
             (["--weights", "1", "2"], "weights: found 2"),
             (["--env", "foot"], "env: found 'foot'"),
@@ -218,9 +350,10 @@ class TestCommand:
         mine = 'description = "My own."\n[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n'
         Path("mine.toml").write_text(mine)
         Path("all.toml").write_text('base = "handover"\n[scene]\nactions = "all"\n')
+        Path("faulty.toml").write_text('base = "handover"\n[scene]\ntaxel_dead = 0.1\n')
         fails_with(capsys, ["design", "--test-starts", "2", "--workers", "1", *args], named)
         assert Path("mine.toml").read_text() == mine
-        assert {*Path().iterdir()} == {Path("mine.toml"), Path("all.toml")}
+        assert {path.name for path in Path().iterdir()} == {"mine.toml", "all.toml", "faulty.toml"}
 
     def test_a_scene_that_touch_cannot_help(self, capsys):
         Path("seen.toml").write_text(

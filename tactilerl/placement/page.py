@@ -1,0 +1,107 @@
+"""A page on which one places taxels: one file, which works offline in any browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..envs import layouts
+from ..pictures import places
+from ..pictures.hand_map import EDGE, LETTERS, TaxelMap, labels, panels
+from ..style import NAMES
+from .choice import Design
+from .cover import Starts
+
+TEMPLATE = Path(__file__).with_name("design.html")
+MOST_BYTES = 500_000
+
+
+def page(design: Design) -> bytes:
+    """Return the page of a design; ValueError where it would have more than `MOST_BYTES`."""
+    data = zlib.compress(json.dumps(_data(design)).encode(), 9)
+    html = TEMPLATE.read_text(encoding="utf-8")
+    content = html.replace("@DATA@", base64.b64encode(data).decode()).encode()
+    if len(content) > MOST_BYTES:
+        raise ValueError(
+            f"out: found a page of {len(content):,} bytes, allowed {MOST_BYTES:,}: ask for fewer "
+            "--test-starts, a coarser --skin, or --out FILE.toml"
+        )
+    return content
+
+
+def _data(design: Design) -> dict[str, Any]:
+    """Return what the page has to know, which design.html reads."""
+    pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin.taxels
+    scene, drawn = pool.scenes[0].config.simulator, TaxelMap(hand, taxels, 100)
+    hand_name = NAMES.get(pool.env, Path(pool.env).stem)
+    dots = []
+    for index, place in enumerate(places.of(taxels)):
+        surface = hand.surfaces[place.surface]
+        x, y = drawn.point(place)
+        layout = layouts.of_taxels(taxels.take([index]), hand, "")
+        dots.append(
+            {
+                "x": round(x, 2),
+                "y": round(y, 2),
+                "radius": place.radius,
+                "name": taxels.names[index],
+                "segment": f"{surface.digit}.{surface.segment}",
+                "row": place.row,
+                "column": place.column,
+                "toml": layout.toml().split("\n", 1)[1],  # without the description
+                "candidate": index in pool.columns,
+            }
+        )
+    weights = next(iter(design.test.values())).weights
+    losses = zip(pool.losses.names, pool.losses.members, strict=True)
+    return {
+        "title": f"{hand_name} in {NAMES.get(scene, scene)}: "
+        + ", ".join(scene.name for scene in pool.scenes),
+        "panels": [
+            [
+                panel.x - panel.half_width - EDGE,
+                panel.y + panel.high + EDGE,
+                2 * (panel.half_width + EDGE),
+                panel.high - panel.low + 2 * EDGE,
+            ]
+            for panel in panels(hand)
+        ],
+        "labels": labels(hand, panels(hand)),
+        "letters": LETTERS,
+        "extent": drawn.extent,
+        "dots": dots,
+        "recordings": [
+            {
+                "waits": wait,
+                "choice": _starts(design.choice[wait])
+                if len(design.choice) > 1
+                else None,
+                "test": _starts(starts),
+            }
+            for wait, starts in design.test.items()
+        ],
+        "weights": None if np.ptp(weights) < 1e-12 else weights.tolist(),
+        "survives": pool.flags.survives,
+        "loss": layouts.short(pool.flags.survives or "taxel"),
+        "losses": [[name, np.flatnonzero(lost).tolist()] for name, lost in losses],
+        "rows": [asdict(row) for row in design.rows],
+        "sets": {n: design.columns(n) for n in design.chosen},
+        "layouts": pool.references,
+    }
+
+
+def _starts(starts: Starts) -> dict[str, Any]:
+    """Return when each taxel fires in each start, at which moments closing succeeds, when the object
+    is let go, and what each start weighs."""
+    return {
+        "fires": starts.fires.tolist(),
+        "succeeds": [np.flatnonzero(row).tolist() for row in starts.succeeds],
+        "lets_go": starts.lets_go.tolist(),
+        "weights": starts.weights.tolist(),
+    }
