@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import json
 import os
 import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -113,6 +114,11 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
     """Return a copy of a dataclass with some fields chosen otherwise; lists are its tuples."""
     return dataclasses.replace(instance, **plain(choices))  # type: ignore[type-var]
+
+
+def quoted(value: Any) -> str:
+    """Return a string, a number or a list of them as TOML has it."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -347,6 +347,13 @@ def is_fixed(body: mujoco.MjsBody) -> bool:
     )
 
 
+def link_of(body: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return the body that moves by itself, or is at the root, and of which a body is a part."""
+    while is_fixed(body):
+        body = body.parent
+    return body
+
+
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
     """Bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
 

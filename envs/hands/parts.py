@@ -336,9 +336,7 @@ class Parts:
             return {}
         data, found = posed(model_file.compiled(self.raw.copy()), {}), {}
         for name in fixed:
-            body = self.raw.body(name)
-            while mount.is_fixed(body):
-                body = body.parent
+            body = mount.link_of(self.raw.body(name))
             here, there = data.body(name), data.body(body.name)
             turn = there.xmat.reshape(3, 3).T
             own = np.round(turn @ here.xmat.reshape(3, 3), 12)
