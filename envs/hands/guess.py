@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 
 from .. import validation
 from ..state import Array
@@ -35,6 +36,7 @@ MOST = 4  # links of a digit
 AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
 WRIST = 2  # joints outside of a hand that are no arm
 LEANING = 0.13  # share of its joints' ranges by which a digit bends further one way than the other
+STEP = 0.01  # rad or m, by which a joint goes to see what it turns
 NUDGE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
 STEPS = 20  # of a digit's way to its closed end
 TOUCHES, DEEP = 2e-3, 8e-3
@@ -47,6 +49,7 @@ HALF_OPEN, OPENING = 0.5, 0.11
 """How open a hand is at least, and m between its thumb and fingers."""
 PARALLEL = 0.7  # cosine between axes of a thumb's joints that flex
 TURNED = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
+NEARLY = 0.75, 1.0  # shares of their way on which fingers lie in front of the palm
 AXES = [*np.eye(3), *-np.eye(3)]
 
 
@@ -82,18 +85,10 @@ class Guess:
             self._drop(empty)
             names = ", ".join(empty)
             self.notes.append(f"drop: left out links without mass or shape: {names}")
-        spec = self._spec()
-        palm = self.keys.get("palm") or self._palm(spec)
-        self.keys["palm"] = palm
-        if spec.body(palm) is None:
-            raise ValueError(f"palm: found no body {palm!r} in the model")
-        link = mount.link_of(spec.body(palm))
-        moving = sum(len(list(body.find_all("joint"))) for body in link.bodies)
-        if len(list(spec.joints)) - moving > WRIST:
-            self.keys["root"] = link.name
-            self.notes.append(f"root: cut off all that does not hang on {link.name}")
+        self._find_palm(self._spec())
         self.parts = self._parts()
-        self.compiled, self.palm = self.parts.model, self.parts.palm_frame.link
+        self.frame, self.compiled = self.parts.palm_frame, self.parts.model
+        self.palm = self.frame.link
         self.chains = chains_of(self.parts, self.palm)
 
     def _parts(self) -> Parts:
@@ -109,32 +104,43 @@ class Guess:
     def _drop(self, names: list[str]) -> None:
         self.keys["drop"] = [*self.keys.get("drop", []), *names]
 
-    def _palm(self, spec: mujoco.MjSpec) -> str:
-        """Return the body from which most digits branch; ValueError where none has two."""
+    def _find_palm(self, spec: mujoco.MjSpec) -> None:
+        """Take the body from which most digits branch as the palm, and it or the link that it is part
+        of as the root where it hangs on an arm; ValueError where none has two digits."""
+        if "palm" not in self.keys:
+            self.keys["palm"] = self._palm_of(spec)
+        palm = spec.body(self.keys["palm"])
+        if palm is None:
+            raise ValueError(f"palm: found no body {self.keys['palm']!r} in the model")
+        link = mount.link_of(palm)
+        on_palm, on_link = (
+            sum(len(list(child.find_all("joint"))) for child in body.bodies)
+            for body in (palm, link)
+        )
+        if len(list(spec.joints)) - on_link > WRIST:
+            self.keys["root"] = (palm if on_palm == on_link else link).name
+            self.notes.append(f"root: cut off what {palm.name} hangs on")
+
+    def _palm_of(self, spec: mujoco.MjSpec) -> str:
         branches: dict[str, list[str]] = {}
         for body in spec.bodies[1:]:
             parent = body.parent
             if list(body.joints) and parent.name != "world" and body.find_all("geom"):
                 branches.setdefault(mount.link_of(parent).name, []).append(parent.name)
-        most = max(map(len, branches.values()), default=0)
-        if most < 2:
+
+        def rank(link: str) -> tuple[int, int]:
+            return len(branches[link]), len(mount.chain(spec.body(link)))
+
+        best = max(map(rank, branches), default=(0, 0))
+        if best[0] < 2:
             raise ValueError(
                 "palm: found no body from which two digits branch; name it with --palm"
             )
-        deepest = max(
-            len(mount.chain(spec.body(link)))
-            for link, parents in branches.items()
-            if len(parents) == most
-        )
-        palms = [
-            max(parents, key=parents.count)
-            for link, parents in branches.items()
-            if len(parents) == most and len(mount.chain(spec.body(link))) == deepest
-        ]
+        parents = [branches[link] for link in branches if rank(link) == best]
+        palms = [max(names, key=names.count) for names in parents]
         if len(palms) > 1:
             self.notes.append(
-                f"palm: found {len(palms)} with {most} digits each ({', '.join(palms)}); "
-                f"took {palms[0]}, --palm names another"
+                f"palm: found {len(palms)} ({', '.join(palms)}), took the first; --palm names another"
             )
         return palms[0]
 
@@ -142,26 +148,26 @@ class Guess:
 
     @cached_property
     def digits(self) -> list[str]:
-        """Name the digits: by words in the names of links and joints, the others by what is left, from
-        the thumb on. The thumb of a hand without such words goes another way than the others."""
+        """Names of the digits: by words in the names of links and joints, the others by what is left,
+        from the thumb on. Without such a word the thumb is the digit that goes another way than all
+        others."""
         names = [chain.name for chain in self.chains]
-        names = [name if names.count(name) == 1 else None for name in names]
+        names = [name if names.count(name) == 1 else "" for name in names]
         if "thumb" not in names:
             alike = (self.ways @ self.ways.T).sum(axis=1)
             thumb = int(np.argmin(alike)) if len(names) > 2 else 0
             others = np.delete(alike, thumb).mean()
             if len(names) == 2 or alike[thumb] < others - ALONE:
                 names[thumb] = "thumb"
-        unnamed = [number for number, name in enumerate(names) if name is None]
+        away = np.zeros(len(names))
         if "thumb" in names:
-            begins = self.begins
-            away = np.linalg.norm(begins - begins[names.index("thumb")], axis=1)
-            unnamed.sort(key=lambda number: round(float(away[number]), 3))
+            first = self.begins[names.index("thumb")]
+            away = np.linalg.norm(self.begins - first, axis=1).round(3)
         more = map("finger{}".format, range(len(names)))
-        left = [name for name in (*DIGITS[1:], *more) if name not in names]
-        for number, name in zip(unnamed, left, strict=False):
-            names[number] = name
-        return [str(name) for name in names]
+        left = iter([name for name in (*DIGITS[1:], *more) if name not in names])
+        for number in np.argsort(away, kind="stable"):
+            names[number] = names[number] or next(left)
+        return names
 
     @cached_property
     def thumb(self) -> int | None:
@@ -180,9 +186,10 @@ class Guess:
         return posed(self.compiled, rest | self.parts.followed(rest))
 
     def in_palm(self, data: mujoco.MjData, places: Any) -> Array:
-        """Return places (n, 3) of the world in the palm's frame, m."""
-        palm = data.body(self.palm)
-        return np.asarray((np.array(places) - palm.xpos) @ palm.xmat.reshape(3, 3))
+        """Return places (n, 3) of the world in the frame of the body that is called the palm, m."""
+        link = data.body(self.palm)
+        in_link = (np.array(places) - link.xpos) @ link.xmat.reshape(3, 3)
+        return np.asarray((in_link - self.frame.place) @ self.frame.turn)
 
     def tips(self, angles: Angles) -> Array:
         """Return where fingertips are (n, 3), m, in the palm's frame."""
@@ -197,10 +204,18 @@ class Guess:
         places = [data.body(chain.links[0]).xpos for chain in self.chains]
         return self.in_palm(data, places)
 
-    def _axis(self, joint: str, angles: Angles) -> Array:
-        return np.array(self.posed(angles).joint(joint).xaxis)
+    def turning(self, number: int, joint: str, angles: Angles) -> Array:
+        """Return the axis (3,) about which a digit's last link turns as a joint goes up, as long as it
+        turns rad per rad; zeros where it slides."""
+        link, angle = self.chains[number].links[-1], self.parts.inside(joint)
+        turns = [
+            self.posed({joint: angle} | angles | step).body(link).xmat.reshape(3, 3)
+            for step in ({}, {joint: angles.get(joint, angle) + STEP})
+        ]
+        return Rotation.from_matrix(turns[1] @ turns[0].T).as_rotvec() / STEP
 
-    def _limits(self, joint: str) -> tuple[float, float]:
+    def limits(self, joint: str) -> tuple[float, float]:
+        """Return between which angles a joint is driven, rad or m."""
         low, high = self.parts.range_of(joint)
         actuator = self.compiled.actuator(self.parts.driven[joint])
         if not actuator.ctrllimited[0]:
@@ -220,46 +235,39 @@ class Guess:
         of other digits close together, to the side on which there is more of their ranges.
         """
         joints = self.chains[number].joints
-        axes = {joint: self._axis(joint, {}) for joint in joints}
-        kinds = {joint: self.parts.spec.joint(joint).type for joint in joints}
-        hinges = [joint for joint in joints if kinds[joint] == mount.HINGE]
-        turns = {joint: float(axes[joint] @ axes[hinges[-1]]) for joint in hinges}
-        groups = [{joint: 1.0} for joint in joints if joint not in turns]
-        flexing = {joint: turn for joint, turn in turns.items() if abs(turn) > TURNED}
-        ends: dict[str, tuple[float, float]] = {}
-        for group in (*groups, flexing):
-            limits = {joint: self._limits(joint) for joint in group}
+        axes = {joint: self.turning(number, joint, {}) for joint in joints}
+        axes = {joint: axis for joint, axis in axes.items() if axis @ axis > TURNED**2}
+        turns = {joint: axis @ [*axes.values()][-1] for joint, axis in axes.items()}
+        groups = [{joint: 1.0} for joint in joints if joint not in axes]
+        groups.append(
+            {j: np.sign(turn) for j, turn in turns.items() if abs(turn) > TURNED}
+        )
+        ends = {}
+        for group in groups:
             begins = {joint: self.parts.inside(joint) for joint in group}
-            further = sum(
-                np.sign(turn) * (sum(limits[joint]) - 2 * begins[joint])
-                for joint, turn in group.items()
+            limits = {joint: self.limits(joint) for joint in group}
+            steps = {
+                j: min(NUDGE, (high - low) / 4) for j, (low, high) in limits.items()
+            }
+            middle = self.tips({}).mean(axis=0)
+            down, up = (
+                self.tips({j: begins[j] + way * group[j] * steps[j] for j in group})[
+                    number
+                ]
+                for way in (-1, 1)
             )
-            way = further / max(1e-9, sum(high - low for low, high in limits.values()))
-            nearer = self._nearer(number, group)
-            if abs(nearer) > NEARER and (
-                group is not flexing or len(self.chains) == 2 or abs(way) < LEANING
-            ):
-                way = nearer
-            for joint, turn in group.items() if way else ():
-                low, high = limits[joint]
-                other, end = (low, high) if way * turn > 0 else (high, low)
+            nearer = np.linalg.norm(down - middle) - np.linalg.norm(up - middle)
+            further = sum(group[j] * (sum(limits[j]) - 2 * begins[j]) for j in group)
+            lean = further / max(1e-9, sum(map(np.ptp, limits.values())))
+            by_tip = axes.keys().isdisjoint(group) or len(self.chains) == 2
+            is_clear = abs(nearer) > NEARER
+            way = nearer if is_clear and (by_tip or abs(lean) < LEANING) else lean
+            for joint in group if way else ():
+                other, end = limits[joint][:: 1 if way * group[joint] > 0 else -1]
                 begin = begins[joint]
                 is_long = abs(end - begin) >= abs(other - begin)
                 ends[joint] = begin if is_long else other, end
         return {joint: ends[joint] for joint in joints if joint in ends}
-
-    def _nearer(self, number: int, group: dict[str, float]) -> float:
-        """Return how much nearer a digit's tip comes to the middle of all as joints go up than down,
-        m."""
-        middle, away = self.tips({}).mean(axis=0), []
-        for way in (-1, 1):
-            angles = {}
-            for joint, turn in group.items():
-                low, high = self._limits(joint)
-                step = np.sign(turn) * way * min(NUDGE, (high - low) / 4)
-                angles[joint] = self.parts.inside(joint) + step
-            away.append(float(np.linalg.norm(self.tips(angles)[number] - middle)))
-        return away[0] - away[1]
 
     @cached_property
     def ways(self) -> Array:
@@ -277,17 +285,19 @@ class Guess:
     def palm_skin(self) -> Array:
         """Corners (n, 3) of the palm's shapes, m, in its frame."""
         geoms = geoms_of(self.compiled, self.palm)
-        return np.concatenate([np.zeros((1, 3)), *(geom.points for geom in geoms)])
+        points = [geom.points for geom in geoms] or [np.array([self.frame.place])]
+        return np.asarray((np.concatenate(points) - self.frame.place) @ self.frame.turn)
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
         """(palmar, fingers), axes (3,) of the palm's frame.
 
-        While the fingers close they lie in front of the palmar side. Open ones lie in the direction of
-        fingers; where they lie all around, that is across the way on which they close.
+        Fingers that close lie in front of the palmar side. Open ones lie in the direction of fingers;
+        where they lie all around, that is across the way on which they close.
         """
-        halves = [self.tips(_between(*self.bent, share)) for share in (0.5, 1.0)]
-        closed = np.mean(halves, axis=0)[self.fingers].mean(axis=0)
+        most = self.stop if self.thumb is None else 1.0
+        closing = [self.tips(_between(*self.bent, most * share)) for share in NEARLY]
+        closed = np.mean(closing, axis=0)[self.fingers].mean(axis=0)
         palmar = max(AXES, key=lambda axis: axis @ closed - max(self.palm_skin @ axis))
         opened = self.tips({})[self.fingers]
         away = opened.mean(axis=0) - _middle(self.palm_skin)
@@ -300,14 +310,17 @@ class Guess:
     def palm_point(self) -> Array:
         """Return the skin of the palm (3,), m, at the middle of where the fingers begin and its own
         middle, or near there."""
-        geoms = geoms_of(self.compiled, self.palm)
+        geoms, frame = geoms_of(self.compiled, self.palm), self.frame
         bases, middle = self.begins[self.fingers].mean(axis=0), _middle(self.palm_skin)
         if not geoms:
             return np.asarray(bases)
-        places = [middle + share * (bases - middle) for share in (0.5, 0.25, 0.0, 0.75)]
-        places += [np.array(geom.position) for geom in geoms]
-        met = [meet(geoms, place, -self.directions[0]) for place in places]
-        return next((place for place, _ in filter(None, met)), middle)
+        inward = -np.array(frame.direction(self.directions[0]))
+        shares = (0.5, 0.25, 0.0, 0.75)
+        places = [frame.point(middle + share * (bases - middle)) for share in shares]
+        places += [geom.position for geom in geoms]
+        met = [meet(geoms, np.array(place), inward) for place in places]
+        skin = [(place - frame.place) @ frame.turn for place, _ in filter(None, met)]
+        return np.asarray([*skin, middle][0])
 
     # -- open and closed ---------------------------------------------------------------------
 
@@ -323,17 +336,38 @@ class Guess:
         return opened, closed
 
     @cached_property
+    def stop(self) -> float:
+        """Share of that way that the fingers can go before a fingertip is in the palm, or a finger deep
+        in another."""
+        fingers = [self.chains[number] for number in self.fingers]
+        pairs = [(self.palm, chain.links[-1], TOUCHES) for chain in fingers]
+        for first, second in combinations(fingers, 2):
+            pairs += [(*pair, DEEP) for pair in product(first.links, second.links)]
+
+        def is_deep(share: float) -> Array:
+            data = self.posed(_between(*self.bent, share))
+            gaps = [gap(self.compiled, data, a, b) + depth for a, b, depth in pairs]
+            return np.array(gaps) < 0
+
+        usual = is_deep(0.0)
+        for step in range(1, STEPS + 1):
+            if (is_deep(step / STEPS) & ~usual).any():
+                least = 1 / STEPS if self.thumb is None else LEAST
+                return max((step - 1) / STEPS, least)
+        return 1.0
+
+    @cached_property
     def poses(self) -> dict[str, Angles]:
         """Joint angles by title: open and closed, the fingers until they touch, the thumb so that it
         meets them; and the start, where an object just fits in."""
-        opened, closed = self.bent
-        closed = _between(opened, closed, self._until_contact(opened, closed))
+        opened, closed = self.bent[0].copy(), _between(*self.bent, self.stop)
         if self.thumb is not None:
             half = _between(opened, closed, 0.5)
             opposed = self._opposed(self.thumb, half)
-            axes = [self._axis(joint, opposed | half) for joint in opposed]
-            for (joint, end), axis in zip(opposed.items(), axes, strict=True):
-                flexes = abs(axis @ axes[-1]) > PARALLEL
+            pose = opposed | half
+            axes = {j: self.turning(self.thumb, j, pose) for j in opposed}
+            for joint, end in opposed.items():
+                flexes = abs(axes[joint] @ [*axes.values()][-1]) > PARALLEL
                 opened[joint] = self.parts.inside(joint) if flexes else end
                 closed[joint] = end
         start = self._wide_open(opened, closed) if len(self.chains) > 2 else opened
@@ -356,7 +390,7 @@ class Guess:
         tips = self.tips(fingers)[first or self.fingers]
         goal = tips.mean(axis=0) + 0.01 * self.directions[0]
         joints = self.chains[thumb].joints
-        limits = [self._limits(joint) for joint in joints]
+        limits = [self.limits(joint) for joint in joints]
 
         def away(angles: Array) -> float:
             pose = fingers | dict(zip(joints, angles.tolist(), strict=True))
@@ -365,43 +399,20 @@ class Guess:
         best = minimize(away, np.mean(limits, axis=1), method="Powell", bounds=limits)
         return dict(zip(joints, best.x.tolist(), strict=True))
 
-    def _until_contact(self, opened: Angles, closed: Angles) -> float:
-        """Return which share of their way the fingers can go before a fingertip is in the palm, or a
-        finger deep in another."""
-        fingers = [self.chains[number] for number in self.fingers]
-        pairs = [(self.palm, chain.links[-1], TOUCHES) for chain in fingers]
-        for first, second in combinations(fingers, 2):
-            pairs += [(*pair, DEEP) for pair in product(first.links, second.links)]
-
-        def stopped(share: float) -> set[tuple[str, str]]:
-            data = self.posed(_between(opened, closed, share))
-            return {
-                (a, b)
-                for a, b, depth in pairs
-                if gap(self.compiled, data, a, b) < -depth
-            }
-
-        usual = stopped(0.0)
-        for step in range(1, STEPS + 1):
-            if stopped(step / STEPS) - usual:
-                least = 1 / STEPS if self.thumb is None else LEAST
-                return max((step - 1) / STEPS, least)
-        return 1.0
-
     # -- what comes of it --------------------------------------------------------------------
 
     def toml(self) -> str:
         """Return the text of a hand's file."""
-        frame, (palmar, fingers) = self.parts.palm_frame, self.directions
+        quoted = validation.quoted
+        palmar, fingers = self.directions
         vectors = {
             "palmar": palmar,
             "fingers": fingers,
-            "palm_point": self.palm_point() - frame.place,
+            "palm_point": self.palm_point(),
         }
         keys = {key: value for key, value in self.keys.items() if value}
         for key, vector in vectors.items():
-            keys[key] = ((frame.turn.T @ vector).round(4) + 0.0).tolist()
-        quoted = validation.quoted
+            keys[key] = (vector.round(4) + 0.0).tolist()
         lines = [f"{key} = {quoted(value)}" for key, value in keys.items()]
         lines += ["", "[digits]"]
         for name, chain in zip(self.digits, self.chains, strict=True):
@@ -436,17 +447,8 @@ class Chain(NamedTuple):
     """Driven joints that move it."""
     tip: tuple[float, ...]
     """The fingertip in the frame of the last link, m."""
-
-    @property
-    def name(self) -> str | None:
-        """The digit that its links or joints are named after."""
-        for text in (*self.links, *self.joints):
-            for word in re.split(r"[-:._]", text.lower()):
-                for digit, known in WORDS.items():
-                    is_known = {word, word.rstrip("0123456789j")} & {*known.split()}
-                    if is_known or word.startswith(digit):
-                        return digit
-        return None
+    name: str
+    """The digit that its links or joints are named after, or ""."""
 
 
 def chains_of(parts: Parts, palm: str) -> list[Chain]:
@@ -488,7 +490,17 @@ def _chain(parts: Parts, path: list[str], group: set[str]) -> Chain | None:
     driven = tuple(joint for joint in joints if joint in parts.driven)
     if not links or not driven:
         return None
-    return Chain(tuple(links), driven, _tip(parts, links[-1]))
+    return Chain(tuple(links), driven, _tip(parts, links[-1]), _named(links + moving))
+
+
+def _named(texts: list[str]) -> str:
+    """Return the digit that the first of some names to do so names, or ""."""
+    words = [word for text in texts for word in re.split(r"[-:._]", text.lower())]
+    for word, (digit, known) in product(words, WORDS.items()):
+        is_known = {word, word.rstrip("0123456789j")} & {*known.split()}
+        if is_known or word.startswith(digit):
+            return digit
+    return ""
 
 
 def _tip(parts: Parts, link: str) -> tuple[float, ...]:

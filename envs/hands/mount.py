@@ -158,6 +158,12 @@ class Mount:
         """The model with its joints and actuators as they will be, where its file has it."""
         spec = self.unfused(visual)
         if self.fuses and any(map(is_fixed, spec.bodies)):
+            for exclude in spec.excludes:  # a body that one names is not fused
+                names = exclude.bodyname1, exclude.bodyname2
+                first, second = (link_of(spec.body(name)).name for name in names)
+                exclude.bodyname1, exclude.bodyname2 = first, second
+                if first == second:
+                    spec.delete(exclude)
             for body in spec.bodies:
                 body.fuse = is_fixed(body)
             with model_file.quiet():
