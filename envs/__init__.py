@@ -106,7 +106,8 @@ def _meant(name: str, known: tuple[str, ...]) -> str:
 
 def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """The environment that `gymnasium.make` would cut off at its `max_episode_steps` with episodes that
-    are as long by themselves, and end as the task says. ValueError where the task needs more."""
+    are as long by themselves, and end as the task says. ValueError where the task needs more.
+    """
     base: Any = env.unwrapped
     if not isinstance(env, gym.wrappers.TimeLimit) or base.spec is None:
         return env

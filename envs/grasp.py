@@ -100,7 +100,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
-    no such field."""
+    no such field.
+    """
     usual, known = hands.usage(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
@@ -312,12 +313,14 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def taxel_readings(self) -> Array:
         """Return what the taxels feel now, (n_taxels,), without their faults: bool, or by the touch
-        rule "force" N."""
+        rule "force" N.
+        """
         return self._touch.read(self.simulator.state())
 
     def render(self) -> Array | None:
         """Return a picture of the scene, taxels that fire lit, when made with "rgb_array"; with "human"
-        show it in MuJoCo's viewer, as every reset and step does."""
+        show it in MuJoCo's viewer, as every reset and step does.
+        """
         if self.render_mode == "human":
             self.simulator.show([*self.spheres()])
         if self.render_mode == "rgb_array":
@@ -346,7 +349,8 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _require_whole(self, before: State) -> None:
         """SimulationError when an action moved the object too fast: the physics can break and stay
-        finite, as fingers that overlap deeply shoot the object out."""
+        finite, as fingers that overlap deeply shoot the object out.
+        """
         moved = self.state.object_position - before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt
         if not speed < EJECTED:

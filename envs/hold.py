@@ -58,7 +58,8 @@ class HoldTest:
 
     def run(self, simulator: Simulator, state: State) -> bool:
         """Does the object stay in the hand, from this state on and with its joint targets, but for the
-        slide that rises? Leaves the simulator wherever the test ended."""
+        slide that rises? Leaves the simulator wherever the test ended.
+        """
         timestep, targets = simulator.scene.timestep, state.targets.copy()
         # From where the slide is, not from its target: the hand may lag far behind that.
         targets[2] = state.joint_positions[2]
@@ -100,7 +101,8 @@ class HoldTest:
         self, state: State, speed: float, compressed: float, is_at_top: bool
     ) -> bool:
         """The early verdict after so much compressed time, s, on an object that moves in the hand at
-        `speed`, m/s: it is at rest, or still in the hand at the top when time is up."""
+        `speed`, m/s: it is at rest, or still in the hand at the top when time is up.
+        """
         whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
         left = max(0.0, whole - compressed)
         is_at_rest = speed * (left + self.look_every) < self.settle_distance

@@ -117,7 +117,8 @@ class Patch:
         self, surface: Surface, pitch: Pitch
     ) -> Iterator[tuple[tuple[float, float], float, str]]:
         """Yield (row, column) on a surface in m, radius and name of each of its taxels there; names are
-        in pitches, or in mm."""
+        in pitches, or in mm.
+        """
         where = f"{surface.digit}.{surface.segment}"
         for row, column in self.offsets:
             if self.radius is not None:
@@ -247,7 +248,8 @@ class Layout:
         self, hand: Hand
     ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str, float | None]]:
         """Yield index of the surface, the surface, (row, column) on it in m, radius, name and threshold
-        of every taxel of a patch, whether or not there is something of the link."""
+        of every taxel of a patch, whether or not there is something of the link.
+        """
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
                 if patch.is_on(surface.digit, surface.segment):
@@ -304,7 +306,8 @@ def _on_surface(
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
     """Return where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any
-    shape has a gap: thumb.distal[+1,-1]."""
+    shape has a gap: thumb.distal[+1,-1].
+    """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     # All digits are the paper's, where this is a hand like those.
     every = DIGITS if hand.name in HANDS else ()

@@ -52,7 +52,8 @@ class ObjectConfig:
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:
     """A shape from its measures in m: a box's edges (one: a cube), a sphere's diameter, a
-    cylinder's diameter and height (one: both). ValueError for another number of them."""
+    cylinder's diameter and height (one: both). ValueError for another number of them.
+    """
     allowed = {"box": "1 or 3", "sphere": "1", "cylinder": "1 or 2"}[kind]
     if str(len(size)) not in allowed.split():
         found = f"found {len(size)} numbers"
@@ -139,7 +140,8 @@ def require_ends(config: Any, *names: str) -> None:
 
 def scaled(value: Any, factor: float) -> Any:
     """A number, a range or a list of them times `factor`; to a tenth of a millimetre, as a file would
-    have it in m."""
+    have it in m.
+    """
     if isinstance(value, list | tuple):
         return [scaled(each, factor) for each in value]
     low, high = (round(factor * end, 4) for end in bounds("a length", value))

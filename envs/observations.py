@@ -233,7 +233,8 @@ class Broken(Stage):
 
 class Past(Stage):
     """Give the readings of the last `n` control steps, the newest first; before an episode, all was as
-    at its start."""
+    at its start.
+    """
 
     def __init__(self, n: int) -> None:
         self._n, self._readings = n, deque[Array](maxlen=n)
@@ -263,7 +264,8 @@ class Delay(Past):
 class Sight:
     """How the object is seen: as it is, off by a random offset and a turn about a random axis (at every
     step or for an episode), as it was when the episode began, or not at all: it is then said to have
-    the shape of the scene's first object."""
+    the shape of the scene's first object.
+    """
 
     def __init__(self, config: SensorConfig, first: Shape) -> None:
         self._seen = config.object_seen
@@ -330,7 +332,8 @@ class Observer:
         first: Shape,
     ) -> None:
         """`taxel_names` are those in the observation; `is_boolean`: do they read 0 or 1? `first` is the
-        shape of the scene's first object."""
+        shape of the scene's first object.
+        """
         for term in hand.observation:
             require_one_of(TERMS, term, f"hand {hand.name}: observation")
         self.hand = hand

@@ -1,5 +1,6 @@
 """Open-loop grasps: approach, close, lift, hold. What the check of taxels, the pictures and the
-benchmarks look at when no policy should be involved."""
+benchmarks look at when no policy should be involved.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +57,8 @@ def hold_steps(
     dt: float | None = None,
 ) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator and yield once per control step of the
-    hold: is the object still up? The environment's own episode is not involved."""
+    hold: is the object still up? The environment's own episode is not involved.
+    """
     simulator = env.simulator
     dt = dt or period(env.config.timestep)
     n_substeps = round(dt / env.config.timestep)
@@ -88,7 +90,8 @@ def legs(
     env: GraspEnv, grasp: ScriptedGrasp, dt: float, closing: float = 1.0
 ) -> tuple[list[Array], list[Array], list[Array]]:
     """Joint targets (n_actuators,) every `dt` s of approach, closing and lift. `closing` is how far
-    the fingers go from their start to where the grasp has them: 1 is all the way."""
+    the fingers go from their start to where the grasp has them: 1 is all the way.
+    """
     start = env.hand.start_targets()
     starts = zip(env.hand.actuators, start, strict=True)
     closed = np.array([grasp.targets.get(name, value) for name, value in starts])
@@ -106,7 +109,8 @@ def legs(
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     """The hand's scripted grasp nearest to the width of the environment's object; ValueError where its
-    file has none."""
+    file has none.
+    """
     if not env.hand.grasps:
         advice = "tactilerl env --env FILE --check finds one"
         raise ValueError(f"hand {env.hand.name}: has no [[grasp]]; {advice}")

@@ -127,7 +127,8 @@ class State:
 
     def poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         """Positions (..., k, 3) and rotations (..., k, 3, 3) of some links; ValueError for a name that
-        none has."""
+        none has.
+        """
         at = places(self.links, links)
         return self.link_positions.take(at, axis=-2), self.link_rotations.take(
             at, axis=-3

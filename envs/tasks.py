@@ -87,7 +87,8 @@ class Start(NamedTuple):
 
 class Task(ABC):
     """Goals, rewards and verdicts of one environment's episodes. Unless it says otherwise, the object
-    lies on the ground, and nobody but the hand moves it."""
+    lies on the ground, and nobody but the hand moves it.
+    """
 
     rewards: ClassVar[tuple[str, ...]]
     """The kinds of reward it has; the first is the default."""
@@ -115,7 +116,8 @@ class Task(ABC):
         self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
     ) -> None:
         """As configured, for a hand whose own timestep is that, s, and a scene whose first object has
-        this shape."""
+        this shape.
+        """
         self.config, self.first = config, first
         self.hold = HoldTest(
             config.hold_seconds,
@@ -128,7 +130,8 @@ class Task(ABC):
         self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
     ) -> Start:
         """How an episode begins: usually with the hand open above an object on the ground, both a
-        little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
+        little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers.
+        """
         return usual
 
     @abstractmethod
@@ -141,7 +144,8 @@ class Task(ABC):
     @abstractmethod
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
         """Return what was achieved (goal_size,) with an action, the episode's last one or not, and
-        whether the episode ends here by the task's own rules."""
+        whether the episode ends here by the task's own rules.
+        """
 
     def is_hold_due(self, state: State) -> bool:
         """Tell whether the hold test decides the episode now, after a step that did not end it."""
@@ -187,7 +191,8 @@ class ReachGoal(Task):
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """sparse: 0 within the tolerance, else -1; dense: -10 x distance in m. Both readings
-        of the paper exist in the code it builds on (Plappert et al. 2018)."""
+        of the paper exist in the code it builds on (Plappert et al. 2018).
+        """
         if self.config.reward == "dense":
             return -10.0 * _distance(achieved_goal, desired_goal)
         return self.is_success(achieved_goal, desired_goal) - 1.0
@@ -257,7 +262,8 @@ class LiftAndHold(Task):
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether
         the object fell back before it was lifted or was dropped in the hold test; 1000 for a
-        lift that held; -100 at time-out. Squares are of metres, as the paper has them."""
+        lift that held; -100 at time-out. Squares are of metres, as the paper has them.
+        """
         closeness = np.exp(-(np.asarray(achieved_goal)[..., :-1] ** 2))
         near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
         failed = near + 5.0

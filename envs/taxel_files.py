@@ -82,7 +82,8 @@ def require_distinct(points: Sequence[Point]) -> None:
 
 def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
     """Return the taxels of a file, whose name says which format it has, all on `link` where that is
-    given; ValueError naming what is wrong with it, and FileNotFoundError."""
+    given; ValueError naming what is wrong with it, and FileNotFoundError.
+    """
     with blamed(f"taxel file {path}"):
         text = read_text(path, "taxel file")
         try:
@@ -100,7 +101,8 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
 
 def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
     """Yield the taxels of sensors that have files of their own, on each of their links; ValueError
-    naming what is wrong, and FileNotFoundError."""
+    naming what is wrong, and FileNotFoundError.
+    """
     files: list[str] = []
     for number, sensor in enumerate(sensors, 1):
         where, file = f"sensor {number}", Path(sensor.file)
@@ -132,7 +134,8 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
 
 def _read_genesis(text: str) -> Tables:
     """Yield a table a probe. There is one entry a link, its probes in rows of a grid or in a list;
-    those of radius 0 fill up a row."""
+    those of radius 0 fill up a row.
+    """
     for entry in json.loads(text):
         rows = entry["probes"]
         for probe in chain(*rows) if rows and isinstance(rows[0], list) else rows:
@@ -143,7 +146,8 @@ def _read_genesis(text: str) -> Tables:
 
 def _read_csv(text: str) -> Tables:
     """Yield a table a row. There is a heading; the first column, links, and the last, names, may be
-    missing."""
+    missing.
+    """
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heading = tuple(name.strip() for name in rows.fieldnames or ())
     rows.fieldnames = heading

@@ -246,7 +246,8 @@ class ForceRule(SkinTouch):
 
     def feel(self, state: State) -> tuple[Array, Array]:
         """Return which taxels are on by rule "skin", bool (n,), and the force that each would carry, N
-        (n,). A taxel with a threshold fires where it is on and carries as much."""
+        (n,). A taxel with a threshold fires where it is on and carries as much.
+        """
         taxels, contacts = self._taxels, state.contacts
         is_on, forces = super().read(state), np.zeros(len(taxels))
         if not (is_on.any() and len(contacts.forces)):
@@ -308,7 +309,8 @@ def make(
 ) -> Rule:
     """Return the rule of a name for taxels that fire from `threshold` N up (None: from their own) and
     stop below `release` N (None: `RELEASE` of the threshold). ValueError for a threshold with a rule
-    that reads no force of its own."""
+    that reads no force of its own.
+    """
     thresholds = taxels.thresholds
     if threshold is not None:
         thresholds = np.full(len(taxels), threshold)

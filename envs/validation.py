@@ -54,7 +54,8 @@ def require_known(
     names: Iterable[str], known: Iterable[str], aliases: Aliases = NONE
 ) -> None:
     """Raise ValueError naming the first of `names` that is not known, what may have been meant, and
-    all that are known."""
+    all that are known.
+    """
     known = sorted(known)
     for name in names:
         if name not in known:
@@ -152,7 +153,8 @@ def require_rising(span: tuple[float, ...], where: str) -> None:
 
 def allow_only_with(what: str, config: Any, *names: str) -> None:
     """Raise ValueError for a field of `config` that is not as usual, where it does nothing without
-    `what`."""
+    `what`.
+    """
     usual = {field.name: field.default for field in dataclasses.fields(config)}
     for name in names:
         if (found := getattr(config, name)) != usual[name]:
@@ -283,7 +285,8 @@ def _short(value: Any) -> str:
 
 def read_text(path: Path, what: str) -> str:
     """Return the content of a file, called `what` in errors; ValueError where it is too large or no
-    UTF-8, and FileNotFoundError."""
+    UTF-8, and FileNotFoundError.
+    """
     if not os.path.isfile(path):  # Path.is_file raises when a name is too long
         raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
     if path.stat().st_size > LARGEST_FILE:
@@ -293,7 +296,8 @@ def read_text(path: Path, what: str) -> str:
 
 def read(path: Path, what: str) -> dict[str, Any]:
     """Return the content of a TOML file, called `what` in errors; ValueError naming what is wrong with
-    it, and FileNotFoundError."""
+    it, and FileNotFoundError.
+    """
     try:
         return tomllib.loads(read_text(path, what))
     except (ValueError, RecursionError) as error:
@@ -321,7 +325,8 @@ def table(
     data: Mapping[str, Any], key: str, allowed: Collection[str] | None = None
 ) -> dict[str, Any]:
     """Return a table of a file, empty where there is none; ValueError for something else, and for a
-    key in it that is not allowed."""
+    key in it that is not allowed.
+    """
     value = _table(data.get(key, {}), key)
     if allowed is not None:
         only(value, allowed, key)

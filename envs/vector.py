@@ -43,7 +43,8 @@ class Workers:
         opened: ExitStack | None = None,
     ) -> None:
         """`env` answers what does not depend on an episode; a player may play in it. `opened` is
-        what has to be closed in the end."""
+        what has to be closed in the end.
+        """
         self.env, self._players, self._opened = env, players, opened or ExitStack()
         self.observation_space = env.observation_space
         self.action_space = env.action_space
@@ -69,7 +70,8 @@ class Workers:
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray
     ) -> np.ndarray:
         """Rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
-        ValueError where there is none."""
+        ValueError where there is none.
+        """
         if not self.env.has_wrapper_attr("compute_reward"):
             raise ValueError("compute_reward: found an environment without it")
         reward = self.env.get_wrapper_attr("compute_reward")
@@ -167,7 +169,8 @@ class RemotePlayer:
 
     def answer(self, to: Any = None, is_wanted: IsWanted = lambda: True) -> Any:
         """What comes back from the process; first of all, before anything is sent, None when the
-        environment is made, or what kept it from being made."""
+        environment is made, or what kept it from being made.
+        """
         try:
             if to is not None:
                 self._connection.send(to)

@@ -169,14 +169,16 @@ class Learner:
 
 class PPO(Learner):
     """Proximal policy optimisation. Its hyperparameters are the fields of
-    `tactilerl.algos.ppo.PPOConfig`."""
+    `tactilerl.algos.ppo.PPOConfig`.
+    """
 
     algo = "ppo"
 
 
 class DDPGHER(Learner):
     """DDPG with hindsight experience replay, for goal environments. Its hyperparameters are the fields
-    of `tactilerl.algos.ddpg_her.DDPGHERConfig`."""
+    of `tactilerl.algos.ddpg_her.DDPGHERConfig`.
+    """
 
     algo = "ddpg_her"
 
@@ -275,7 +277,8 @@ def train(
 
 def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
     """Who plays in `env`; closing them closes only what was made here. Where they are processes,
-    PyTorch computes with `threads` threads in each."""
+    PyTorch computes with `threads` threads in each.
+    """
     if isinstance(env, gym.Env):
         if workers not in (None, 1):
             raise ValueError(

@@ -42,7 +42,8 @@ def damage_named(
     path: Path, found: str = "damaged", missing: str = ""
 ) -> Iterator[None]:
     """Whatever a file's content breaks is an InputError that names the file, and says what it is. Where
-    there is no file it is a FileNotFoundError, or an InputError that says `missing`."""
+    there is no file it is a FileNotFoundError, or an InputError that says `missing`.
+    """
     try:
         yield
     except FileNotFoundError:
@@ -62,7 +63,8 @@ def damage_named(
 
 def open_regular(path: Path) -> BinaryIO:
     """Open a file to read; ValueError where it is none, such as a pipe or a device, which may have no
-    end."""
+    end.
+    """
     if os.path.exists(path) and not os.path.isfile(path):
         raise ValueError("not a regular file")
     return open(path, "rb")
@@ -94,7 +96,8 @@ def unzip(path: Path) -> bytes:
 
 def require_new(path: Path, overwrite: bool = False) -> None:
     """Raise InputError where something is at `path` that a command may not replace: anything but an
-    empty folder, unless it was told to `overwrite`; a link or a device in any case."""
+    empty folder, unless it was told to `overwrite`; a link or a device in any case.
+    """
     with writable(path):
         is_folder = path.is_dir() and not path.is_symlink()
         is_there = any(path.iterdir()) if is_folder else os.path.lexists(path)
@@ -202,7 +205,8 @@ def no_link(name: str, flags: int) -> int:
 
 def require_name(name: Any, where: str) -> str:
     """A name that files are called by; InputError where it could lead out of a folder, is no text,
-    or is too long."""
+    or is too long.
+    """
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise InputError(
             f"{where}: found {str(name)[:60]!r}, expected a word of letters, digits, '-', '_' and '.'"

@@ -77,7 +77,8 @@ def short(commit: str | None) -> str:
 
 def commit(folder: Path) -> str | None:
     """Return the commit of the repository that tracks this package in `folder`, with "-dirty"
-    where tracked files were changed; None where no repository does."""
+    where tracked files were changed; None where no repository does.
+    """
     env = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     git = ["git", "-C", str(folder)]
     # A virtual environment may lie inside a repository that does not track it.

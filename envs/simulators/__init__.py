@@ -157,7 +157,8 @@ class Simulator(ABC):
     ) -> None:
         """Put everything at rest; afterwards the past has no influence. Raise SimulationError when the
         physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;
-        usually the hand's at its start."""
+        usually the hand's at its start.
+        """
         self._targets = self.scene.hand.start_targets() if targets is None else targets
         with self._checked():
             self._begin(joint_positions, object_position, yaw)
@@ -185,7 +186,8 @@ class Simulator(ABC):
     @abstractmethod
     def carry(self, goal: Array) -> None:
         """Make the scene's giver carry the object towards `goal` (3,), m, from where it is. After a
-        reset nobody carries it."""
+        reset nobody carries it.
+        """
 
     @abstractmethod
     def let_go(self) -> None:
@@ -193,7 +195,8 @@ class Simulator(ABC):
 
     def set_creep(self, factor: float) -> None:
         """Make what sticks creep this many times as fast as in the scene as it is built (1); nothing
-        where dry friction does not creep."""
+        where dry friction does not creep.
+        """
 
     @abstractmethod
     def state(self) -> State:
@@ -227,7 +230,8 @@ class Simulator(ABC):
 
     def show(self, spheres: Sequence[Sphere] = ()) -> None:
         """Show the scene with some spheres in a window, no faster than real time. Raise ValueError
-        where the simulator has none, OSError where there is no display."""
+        where the simulator has none, OSError where there is no display.
+        """
         raise ValueError("render_mode: found 'human', allowed with simulator mujoco")
 
     @abstractmethod

@@ -155,7 +155,8 @@ class PyBulletSimulator(Simulator):
 
     def _set_dynamics(self) -> None:
         """Set friction and damping. Bullet multiplies the frictions of two bodies: 1 everywhere but on
-        the object."""
+        the object.
+        """
         change, added = self._bullet.changeDynamics, self.scene.hand.added_inertia
         change(
             self.object,
@@ -203,7 +204,8 @@ class PyBulletSimulator(Simulator):
 
     def _target_limits(self) -> Array:
         """Return the lowest and highest targets (2, n_actuators) with which joints that follow rigidly
-        stay in their ranges, rad or m."""
+        stay in their ranges, rad or m.
+        """
         hand = self.scene.hand
         limits = np.outer([-np.inf, np.inf], np.ones(len(hand.actuated)))
         for joint, driver, ratio, offset, is_rigid in hand.couplings:
@@ -260,7 +262,8 @@ class PyBulletSimulator(Simulator):
 
     def _pull(self, position: Array) -> Array:
         """Return the giver's force (3,) on the object, N, whose weight is carried; the spring's rest
-        point goes on by a timestep."""
+        point goes on by a timestep.
+        """
         giver, rest = self.scene.giver, self._rest
         assert giver is not None
         assert rest is not None

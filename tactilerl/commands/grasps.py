@@ -23,7 +23,8 @@ MARK = "# Found by tactilerl for the file beside it, as long as that stays as it
 
 def require_grasp(name: str, scene: GraspConfig) -> None:
     """Have a grasp at hand: where neither the file has one nor one is kept beside it, one is searched
-    for and kept; ValueError where none holds."""
+    for and kept; ValueError where none holds.
+    """
     if hands.get(name).grasps:
         return
     found = found_grasp(name, scene)
@@ -43,7 +44,8 @@ def found_grasp(
     name: str, scene: GraspConfig, overwrite: bool = False
 ) -> grasp_search.Found | None:
     """Return the best grasp that a search finds, and how it went; None, with a picture of the best,
-    where that does not hold."""
+    where that does not hold.
+    """
     beside.print(f"{name} has no [[grasp]]: looking for one")
     with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
         found = grasp_search.find(name, scene, free_cores(), tick)

@@ -78,7 +78,8 @@ def read_scene(
 
 def layout_notes(name: str, layout: str) -> list[str]:
     """Return what to know about a layout on a hand: where it wants taxels and the hand has no
-    surface, and which of its taxels lie beyond theirs."""
+    surface, and which of its taxels lie beyond theirs.
+    """
     wanted, hand = layouts.load(layout), hands.get(name)
     placed = wanted.place(hand)
     places = {

@@ -39,7 +39,8 @@ class Panel(NamedTuple):
 
 def panels(hand: Hand) -> list[Panel]:
     """Return a panel for each of the hand's surfaces: digits side by side, their segments from the
-    base up to the tip, and the palm below them."""
+    base up to the tip, and the palm below them.
+    """
     spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
     is_usual = set(hand.digits) <= set(DIGITS)
     columns = [d for d in DIGITS if d in hand.digits] if is_usual else hand.digits
@@ -71,7 +72,8 @@ def panels(hand: Hand) -> list[Panel]:
 
 def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
     """Return what each digit is called, above its tip, and below the palm what that is: the word,
-    and the middle (x, y) of its baseline, mm."""
+    and the middle (x, y) of its baseline, mm.
+    """
     both = list(zip(hand.surfaces, drawn, strict=True))
     tips = [
         (surface.digit, panel.x, panel.y + panel.high + EDGE + LETTERS / 3)
@@ -87,7 +89,8 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
 
 def beyond(hand: Hand, taxels: Taxels) -> list[str]:
     """Return names of the taxels that lie beyond an end of their segment, where nothing carries
-    them."""
+    them.
+    """
     drawn, found = panels(hand), []
     for name, place in zip(taxels.names, places.of(taxels), strict=True):
         panel = drawn[place.surface]

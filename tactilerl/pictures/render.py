@@ -44,7 +44,8 @@ def picture(
     grasp: ScriptedGrasp | None = None,
 ) -> int:
     """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
-    it the hand unrolled; return how many taxels fire in it."""
+    it the hand unrolled; return how many taxels fire in it.
+    """
     _writer("--out", out, PICTURES, "PIL")
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
@@ -65,7 +66,8 @@ def staged(
     run: Path, hold_seconds: float, render_mode: str
 ) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's own scene, with hold tests of so many seconds, and what plays its policy there
-    from the start of a number: does it succeed? InputError where that is no grasping scene."""
+    from the start of a number: does it succeed? InputError where that is no grasping scene.
+    """
     import torch
 
     from ..runs import evaluation, policies
@@ -87,7 +89,8 @@ def staged(
 
 class _Player:
     """Films a run's policy in its own scene, with a line above: who plays, which start, what came of
-    it."""
+    it.
+    """
 
     def __init__(
         self, run: Path, hold_seconds: float, camera: Camera, tick: Callable[[], None]

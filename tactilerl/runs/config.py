@@ -205,7 +205,8 @@ class RunConfig:
 
 def _completed(kind: type, saved: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a dataclass as a file of 0.4.0 or later has them: what it lacks has its
-    default, which means what that version did; what it alone has is left out."""
+    default, which means what that version did; what it alone has is left out.
+    """
     usual = json.loads(json.dumps(dataclasses.asdict(kind())))
     known = {k: v for k, v in saved.items() if k not in GONE or v != GONE[k]}
     return {**usual, **known}

@@ -19,7 +19,8 @@ SEED = 10_000_000  # evaluation starts are not those of training
 
 class OthersPolicy:
     """Play what is no policy of this library: a function of an observation, or an object with
-    `predict`, as those of Stable-Baselines3. Actions are as the environment takes them."""
+    `predict`, as those of Stable-Baselines3. Actions are as the environment takes them.
+    """
 
     def __init__(self, policy: Any, spaces: Spaces, stochastic: bool) -> None:
         """Ask `predict` for actions without noise, unless `stochastic`, where it can be asked.
@@ -73,7 +74,8 @@ def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:
 
 def row(episode: Episode[Any]) -> dict[str, Any]:
     """Return success at the end of an episode (nan where the environment has none), for how many steps
-    it had stood by then, return, length and faults; one that diverged has no success."""
+    it had stood by then, return, length and faults; one that diverged has no success.
+    """
     return {
         "success": episode.success,
         "held": episode.held,

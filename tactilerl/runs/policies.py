@@ -96,7 +96,8 @@ def _policy(
     path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]
 ) -> Policy:
     """Return the policy in a learner's state; ValueError, before a network is made, where it
-    would be larger than its file."""
+    would be larger than its file.
+    """
     sizes = network_sizes(config.hidden, spaces)
     if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:
         raise ValueError(f"hidden: found {config.hidden}, more than the file holds")

@@ -260,7 +260,8 @@ class RunDir:
 
     def read_checkpoint(self, config: RunConfig) -> Values:
         """Return the content of checkpoint.pt; InputError when damaged or of another
-        configuration. The states of the ranks are for their learners to judge."""
+        configuration. The states of the ranks are for their learners to judge.
+        """
         path = self.checkpoint_file
         data = read_tensors(path, "checkpoint", FORMAT, CHECKPOINT)
         with damage_named(path):
@@ -278,7 +279,8 @@ class RunDir:
 
 def _hand_file(path: Path) -> bytes:
     """Return a hand's file with the absolute path of its model, which may be large and stays where it
-    is; a model of an installed package keeps its name."""
+    is; a model of an installed package keeps its name.
+    """
     text = validation.read_text(path, "hand file")
     model = str(validation.read(path, "hand file")["model"])
     if ":" in model:
@@ -304,7 +306,8 @@ def as_record(data: Any) -> Values:
 
 def parse(text: str) -> tuple[list[Row], str]:
     """Return the rows of a progress.csv before the first that no run writes, and what is wrong
-    with that one. A last line that was cut off does not count."""
+    with that one. A last line that was cut off does not count.
+    """
     reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     rows, before = list[Row](), (-1, 0)
     try:
@@ -439,7 +442,8 @@ def resolve(
 ) -> RunConfig:
     """Return the configuration before other choices: `config.defaults`, or that of the run in
     the folder `resume`. Imports the module that `env` names. InputError where there is no such
-    run, or a scene is named as well."""
+    run, or a scene is named as well.
+    """
     module, colon, _ = env.partition(":")
     if colon and ENV_ID.fullmatch(env):
         with input_errors("env"):

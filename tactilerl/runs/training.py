@@ -90,7 +90,8 @@ def start_workers(
 ) -> vector.Workers:
     """Return `n` environments and who plays in them; by default as many as there are free cores.
 
-    PyTorch computes with the run's number of threads from here on, in this process and in theirs."""
+    PyTorch computes with the run's number of threads from here on, in this process and in theirs.
+    """
     set_up = partial(torch.set_num_threads, config.run.threads)
     set_up()
     return vector.start(config.make_env, n or free_cores(comm.local_size), set_up)

@@ -59,7 +59,8 @@ def examine(
 ) -> list[Found]:
     """Find the best reflex of each sense in a scene, `starts` starts each. Each has as many
     candidates, and each candidate the same `search` starts. `tick` is called after every
-    candidate."""
+    candidate.
+    """
     found, first = [], 2 * SEARCH * seed
     for name in senses:
         sense, _ = SENSES[name]

@@ -139,7 +139,8 @@ def _search(
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
     """Return the grasp of some figures: how far the palm is beside its place at the start, (x, y, z) m,
-    and how far the fingers close."""
+    and how far the fingers close.
+    """
     *place, share = figures.tolist()
     targets = dict(zip(SLIDES, place, strict=True))
     closed = {n: o + share * (hand.closed[n] - o) for n, o in hand.opened.items()}
@@ -154,7 +155,8 @@ def _hold(
 ) -> Array:
     """Hold the object from the start of a number; return (4,) how good that is, the share of the steps
     in which the object was up, how many digits touched it, and how far beyond the middle of their last
-    links, m."""
+    links, m.
+    """
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])
     start = scripted.perturbed_start(rng, len(base.hand.joints))

@@ -122,7 +122,8 @@ class _Reading:
 
     def joints(self) -> float:
         """Return how far any joint, or the hand, is from where it was at first, in what its
-        readings varied by then; of a lift, how still the joints are, rad."""
+        readings varied by then; of a lift, how still the joints are, rad.
+        """
         seen = np.array(self._seen)[:, self._joints].astype(float)
         if self._lifts:
             return (
@@ -136,7 +137,8 @@ class _Reading:
 
     def active(self) -> float:
         """Return after a test squeeze how far joints and hand are from where the first one took
-        them, on the mean, rad and m."""
+        them, on the mean, rad and m.
+        """
         if self.step % (2 * TRIAL) != TRIAL:
             return 0.0
         now, first = (self._seen[step][self._joints] for step in (self.step, TRIAL))
@@ -145,7 +147,8 @@ class _Reading:
 
 def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
     """Return fifteen reflexes of a sense to choose from, for every sense as many; none if the scene
-    has no use for it."""
+    has no use for it.
+    """
     handed, lifted = SENSES[sense]
     if env.task.giver is not None:
         return [Reflex(sense, threshold, 1.0) for threshold in handed]
@@ -156,7 +159,8 @@ def _parts(
     env: GraspEnv, closing: float, shift: Array
 ) -> tuple[list[Array], list[Array]]:
     """Return joint targets of the first part and of the second, of an object `shift` (2,) m beside
-    its place; at the end of a part they stay."""
+    its place; at the end of a part they stay.
+    """
     opened = env.hand.start_targets()
     if env.task.giver is not None:
         named = zip(env.hand.actuators, opened, strict=True)

@@ -37,7 +37,8 @@ def check(
     hand: str, config: GraspConfig, n: int = GRASPS, seconds: float = SECONDS
 ) -> TaxelCheck:
     """Play `n` scripted grasps, always the same ones, held for `seconds`; ValueError where the hand has
-    no grasp, or its object is handed over."""
+    no grasp, or its object is handed over.
+    """
     with closing(GraspEnv(hand, config)) as env:
         if env.task.giver is not None:
             raise ValueError(

@@ -34,7 +34,8 @@ def progress(
     what: str, total: int | None = None, is_shown: bool = True
 ) -> Iterator[Callable[..., None]]:
     """A bar on standard error, or one line where that is no terminal. Calls of what it yields say how
-    much is done, and perhaps of how much; without arguments, one more."""
+    much is done, and perhaps of how much; without arguments, one more.
+    """
     screen = Console(stderr=True)
     begun = iter([f"{what} ..."] if is_shown and not screen.is_terminal else [])
     columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()

@@ -41,7 +41,8 @@ PR_SET_PDEATHSIG = 1  # of prctl, linux/prctl.h
 
 def end_with(parent: int) -> None:
     """From now on this process gets SIGTERM when the one that started it ends, however that ends;
-    Linux only."""
+    Linux only.
+    """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it has ended already
