@@ -79,8 +79,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def validate(self) -> None:
         """Raise ValueError naming what is not there or does not go together; ranges are in types."""
         require_one_of(simulators.SIMULATORS, self.simulator, "simulator")
-        plugins.require_class(touch.RULES, self.touch_rule, "touch_rule")
-        plugins.require_class(tasks.TASKS, self.task, "task")
+        plugins.require_class(touch.RULES, self.touch_rule, "touch_rule", touch.Rule)
+        plugins.require_class(tasks.TASKS, self.task, "task", tasks.Task)
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             allowed = f"a whole number of timesteps of {self.timestep} s"
@@ -225,7 +225,7 @@ class GraspEnv(gym.Env[Any, Array]):
         except SimulationError as error:
             raise SimulationError(f"an episode cannot begin: {error}") from error
         achieved, desired = self.task.begin(self.state, goal_rng)
-        self._desired_goal, self._steps = desired.astype(np.float32), 0
+        self._desired_goal, self._steps = self._goal(desired), 0
         self.task.before_step(self.simulator, self._steps)
         self._obs = self._goal_obs(sensed, achieved)
         if self.render_mode == "human":
@@ -281,11 +281,12 @@ class GraspEnv(gym.Env[Any, Array]):
             return obs, 0.0, False, True, info
         self._obs = obs = self._goal_obs(sensed, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        reward = float(self.task.reward(*goals))
+        reward = self.task.reward(*goals)
+        plugins.require_array(reward, (), f"task {self.config.task}: reward")
         if self.render_mode == "human":
             self.render()
         info = self._info(is_success=bool(self.task.is_success(*goals)))
-        return obs, reward, terminated, is_last and not terminated, info
+        return obs, float(reward), terminated, is_last and not terminated, info
 
     def compute_reward(
         self, achieved_goal: Array, desired_goal: Array, info: Any
@@ -360,7 +361,10 @@ class GraspEnv(gym.Env[Any, Array]):
         """Return what the policy observes; SimulationError when the physics broke."""
         felt = np.zeros(len(self.taxels) if self.config.touch == "off" else 0)
         if self.config.touch == "on":
-            felt = self._touch.read(state)
+            where = f"touch_rule {self.config.touch_rule}: read"
+            felt = plugins.require_array(
+                self._touch.read(state), (len(self.taxels),), where
+            )
         observation = self._observer.observe(state, felt)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
@@ -378,9 +382,14 @@ class GraspEnv(gym.Env[Any, Array]):
             usual["warnings"] = self._warnings - before
         return {**usual, **said}
 
+    def _goal(self, goal: Array) -> Array:
+        """Return a goal that the task returned, float32; ValueError where it is none."""
+        where, shape = f"task {self.config.task}", (self.task.goal_size,)
+        return plugins.require_array(goal, shape, where).astype(np.float32)
+
     def _goal_obs(self, observation: Array, achieved: Array) -> dict[str, Array]:
         return {
             "observation": observation,
-            "achieved_goal": achieved.astype(np.float32),
+            "achieved_goal": self._goal(achieved),
             "desired_goal": self._desired_goal.copy(),
         }

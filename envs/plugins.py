@@ -7,8 +7,14 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from typing import Any, ClassVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from . import validation
 
 imported: list[str] = []
 """Modules that this process was asked to import; those that it starts import them too."""
@@ -35,13 +41,55 @@ def look_here() -> None:
         sys.path.append(os.getcwd())
 
 
-def require_class(known: Mapping[str, type], name: str, field: str) -> None:
-    """Raise ValueError for a field that names no known class, or one that lacks methods."""
+def require_class(
+    known: Mapping[str, Any], name: str, field: str, base: type[Any]
+) -> Any:
+    """Return the class that a field names.
+
+    Raises ValueError where it is not known, no subclass of `base`, lacks members of it, or has
+    constants of another type.
+    """
     if name not in known:
         allowed = f"{', '.join(known)}, or what a module adds (--import MODULE)"
         raise ValueError(f"{field}: found {name!r}, allowed: {allowed}")
     kind = known[name]
-    if missing := sorted(getattr(kind, "__abstractmethods__", ())):
-        raise ValueError(
-            f"{field}: {name!r} ({kind.__name__}) lacks {', '.join(missing)}"
+    where = f"{field}: {name!r} ({getattr(kind, '__name__', kind)})"
+    if not (isinstance(kind, type) and issubclass(kind, base)):
+        raise ValueError(f"{where}: found no subclass of {base.__name__}")
+    constants = {
+        member: get_args(hint)[0]
+        for member, hint in get_type_hints(base, include_extras=True).items()
+        if get_origin(hint) is ClassVar
+    }
+    absent = {member for member in constants if not hasattr(kind, member)}
+    if missing := sorted(absent | getattr(kind, "__abstractmethods__", frozenset())):
+        raise ValueError(f"{where} lacks {', '.join(missing)}")
+    for member, hint in constants.items():
+        validation.require_type(getattr(kind, member), hint, f"{where}: {member}")
+    return kind
+
+
+def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
+    """Return what a module's class returned as an array; ValueError, which says `where`, when it is
+    no array of numbers of this shape."""
+    if np.shape(value) != shape or np.asarray(value).dtype.kind not in "bifu":
+        found = (
+            f"an array {value.shape}"
+            if isinstance(value, np.ndarray)
+            else repr(value)[:50]
         )
+        raise ValueError(f"{where} returned {found}, allowed numbers of shape {shape}")
+    return np.asarray(value)
+
+
+def culprit(error: BaseException | None) -> str:
+    """Return the name of an imported module whose code raised an error, or what led to it; "" where
+    there is none."""
+    packages = {module.partition(".")[0] for module in imported}
+    while error is not None:
+        for frame, _ in traceback.walk_tb(error.__traceback__):
+            package = str(frame.f_globals.get("__name__")).partition(".")[0]
+            if package in packages:
+                return package
+        error = error.__cause__
+    return ""

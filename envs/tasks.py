@@ -65,7 +65,7 @@ def validate(config: TaskConfig) -> None:
     require_ends(config, "handover_reach")
     task = TASKS[config.task]
     for other, kind in TASKS.items():
-        options = sorted({*kind.options} - {*task.options})
+        options = sorted({*getattr(kind, "options", ())} - {*task.options})
         allow_only_with(f"task {other}", config, *options)
     if config.reward is not None:
         require_one_of(task.rewards, config.reward, "reward")

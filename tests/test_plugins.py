@@ -36,7 +36,19 @@ class Half(tasks.Task):
 class Own(tasks.ReachGoal):
     rewards = ("near", "far")
 
-tasks.TASKS |= {"easy": Easy, "half": Half, "own": Own}
+class Odd(tasks.ReachGoal):
+    max_episode_steps = "20"
+
+class Flat(tasks.ReachGoal):
+    def begin(self, state, rng):
+        return state.object_position[:2], state.object_position
+
+class Broken(tasks.ReachGoal):
+    def after_step(self, state, is_last):
+        return {}["nothing"]
+
+tasks.TASKS |= {"easy": Easy, "half": Half, "own": Own, "odd": Odd, "flat": Flat, "broken": Broken}
+tasks.TASKS["no"] = print
 touch.RULES["numb"] = Numb
 hands.OTHERS["claw"] = Path(__file__).with_name("claw.toml")
 """
@@ -71,8 +83,18 @@ def test_a_module_adds_a_task_a_touch_rule_and_a_hand(theirs, capsys):
 
 
 def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
-    fails_with(capsys, [*theirs, "--task", "half"], "half", "lacks after_step, reward")
+    fails_with(capsys, [*theirs, "--task", "half"], "lacks after_step, max_episode_steps, reward")
+    fails_with(capsys, [*theirs, "--task", "no"], "found no subclass of Task")
+    odd = "'odd' (Odd): max_episode_steps: found '20', allowed a whole number"
+    fails_with(capsys, [*theirs, "--task", "odd"], odd)
     fails_with(capsys, [*theirs, "--task", "own", "--reward", "x"], "allowed: near, far")
+    train = ["train", *theirs[1:], "--algo", "ddpg_her", "--n-test-rollouts", "1", "--task"]
+    flat = "task flat returned an array (2,), allowed numbers of shape (3,)"
+    fails_with(capsys, [*train, "flat"], flat)
+    assert main([*train, "broken"]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert "tactilerl: error: in the module their_package: KeyError: 'nothing'" in lines
+    assert 'return {}["nothing"]' in "".join(lines[-4:])
     fails_with(capsys, [*theirs, "--task", "esay"], "allowed: lift-and-hold", "easy")
     assert main([*theirs, "--task", "own", "--reward", "far"]) == 0
 

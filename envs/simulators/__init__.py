@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from .. import plugins
 from ..hands import Hand
 from ..state import Array, Shape, State, places
 
@@ -130,9 +131,9 @@ class Camera:
 class Simulator(ABC):
     """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
 
-    holds_gil: bool
+    holds_gil: ClassVar[bool]
     """True where `step` keeps other threads of Python waiting."""
-    creeps: bool
+    creeps: ClassVar[bool]
     """True where what sticks creeps, so that an object at rest in the hand may yet slip out of it."""
     joint_limits: Array
     """Lowest and highest positions (n_joints, 2) of ``hand.joints``, rad or m, ±inf without one."""
@@ -262,7 +263,10 @@ def make(name: str, scene: Scene) -> Simulator:
     """Return a running scene; the simulator's package is imported here and not before."""
     module, _, kind = SIMULATORS[name].partition(":")
     try:
-        simulator: Simulator = getattr(importlib.import_module(module), kind)(scene)
+        known = {name: getattr(importlib.import_module(module), kind, None)}
     except ModuleNotFoundError as error:
         raise ImportError(MISSING.get(name, str(error))) from error
-    return simulator
+    simulator: type[Simulator] = plugins.require_class(
+        known, name, "simulator", Simulator
+    )
+    return simulator(scene)

@@ -42,7 +42,9 @@ def main(args: Sequence[str] | None = None) -> int:
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(nowhere, stream.fileno())
-    except Exception:
+    except Exception as error:
+        if module := _module_of(error):
+            _say("error", f"in the module {module}: {type(error).__name__}: {error}")
         traceback.print_exc()
         code = 1
     if code and "mpi4py" in sys.modules:
@@ -59,14 +61,7 @@ def _run(args: list[str]) -> int:
     )
     first, args = parser.parse_known_args(args)
     if not args or args[0] in ("-h", "--help"):
-        about = [f"  {name:10}{text}" for name, text in COMMANDS.items()]
-        print(
-            "usage: tactilerl COMMAND [OPTIONS]", "", "commands:", *about, "", sep="\n"
-        )
-        print(
-            "--import MODULE, with any command, imports a module of your own first.\n"
-        )
-        print("tactilerl COMMAND --help lists a command's options.")
+        _help()
         return 0 if args else BAD_INPUT
     if args[0] == "--version":
         print(f"tactilerl {__version__}")
@@ -81,6 +76,8 @@ def _run(args: list[str]) -> int:
         if mpi.launched_rank() not in (None, "0"):
             time.sleep(1.0)  # mostly rank 0 has found the same, and ends the others
         _say("error", error)
+        if _module_of(error):
+            traceback.print_exception(error)
         return BUSY if isinstance(error, BusyError) else BAD_INPUT
     except BrokenPipeError:
         raise
@@ -91,18 +88,12 @@ def _run(args: list[str]) -> int:
         _say("interrupted", error)
         return 130
     except Exception as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        is_mujocos = any(
-            Path(frame.filename).parent.name == "mujoco" for frame in frames
-        )
-        chosen = os.environ.get("MUJOCO_GL")
-        if not (chosen and is_mujocos and "mujoco" not in sys.modules):
-            raise
-        reason = f"MUJOCO_GL: found {chosen!r}, which does not work here ({error}); "
-        _say(
-            "error", f"{reason}install its library, or unset it where nothing is drawn"
-        )
-        return BAD_INPUT
+        if _is_of_importing_mujoco(error):
+            found = f"MUJOCO_GL: found {os.environ['MUJOCO_GL']!r}"
+            reason = f"{found}, which does not work here ({error}); install its library"
+            _say("error", f"{reason}, or unset it where nothing is drawn")
+            return BAD_INPUT
+        raise
 
 
 def _call(name: str, args: list[str], modules: list[str]) -> int:
@@ -121,9 +112,19 @@ def _call(name: str, args: list[str], modules: list[str]) -> int:
 
 def _is_of_importing_mujoco(error: Exception) -> bool:
     """Return whether MuJoCo could not be imported, for the way to draw that was asked for."""
+    if "mujoco" in sys.modules or "MUJOCO_GL" not in os.environ:
+        return False
     frames = traceback.extract_tb(error.__traceback__)
-    is_mujocos = any(Path(frame.filename).parent.name == "mujoco" for frame in frames)
-    return is_mujocos and "mujoco" not in sys.modules and "MUJOCO_GL" in os.environ
+    return any(Path(frame.filename).parent.name == "mujoco" for frame in frames)
+
+
+def _module_of(error: Exception) -> str:
+    """Return the module, of those that the user had imported, that an error comes from, or ""."""
+    if "tactilerl.envs.plugins" not in sys.modules:
+        return ""
+    from ..envs import plugins
+
+    return plugins.culprit(error)
 
 
 def _help() -> None:
