@@ -27,14 +27,6 @@ def test_a_second_picture_without_a_display_fails_like_the_first():
     assert len(set(done.stdout.splitlines())) == 1
 
 
-@pytest.mark.parametrize("name", ["LQR", "PointReach"])
-def test_toys_take_a_render_mode(name):
-    for mode, shape in ((None, ()), ("rgb_array", (64, 64, 3))):
-        env = gym.make(f"tactilerl/{name}-v0", render_mode=mode)
-        env.reset(seed=0)
-        assert np.shape(env.render()) == shape
-
-
 def test_a_step_before_the_first_reset_is_said():
     env = tactilerl.make("shadow", layout="5")
     with pytest.raises(gym.error.ResetNeeded, match="before the first reset"):

@@ -8,22 +8,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 # The rooms of the application, and the few files beside them: each may use itself and those before.
-ROOMS = (
-    *(
-        "envs",
-        "algos",
-        "version",
-        "errors",
-        "files",
-        "machine",
-        "statistics",
-        "style",
-        "terminal",
-        "runs",
-        "pictures",
-    ),
-    *("scripted", "placement", "study", "commands", "api", "", "__main__"),
-)
+ROOMS = ["envs", "algos", "version", "errors", "files", "machine", "statistics", "style", "terminal"]
+ROOMS += ["runs", "pictures", "scripted", "placement", "study", "commands", "api", "", "__main__"]
 BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "api", "", "__main__"}
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
@@ -33,11 +19,7 @@ ALLOWED = {
     "dask_jobqueue": ("tactilerl/study/executors.py",),
     "matplotlib": ("benchmarks/", "tactilerl/study/figures.py"),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
-    "tyro": (
-        "tactilerl/terminal/",
-        "tactilerl/runs/arguments.py",
-        "tactilerl/commands/",
-    ),
+    "tyro": ("tactilerl/terminal/", "tactilerl/runs/arguments.py", "tactilerl/commands/"),
 }
 
 

@@ -1,7 +1,6 @@
 """Actor and critic computed at the same time: the same bits as in turn, and errors of either."""
 
 import threading
-from contextlib import closing
 
 import pytest
 import torch
@@ -10,8 +9,6 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
-from tactilerl.runs import training
-from tactilerl.runs.config import defaults
 
 from states import flat
 
@@ -46,29 +43,6 @@ def test_an_error_of_either_comes_out(together, failing):
     jobs = (fail, lambda: 1) if failing == "first" else (lambda: 1, fail)
     with pytest.raises(FloatingPointError, match=failing):
         learner(together).in_two_threads(*jobs)
-
-
-@pytest.mark.parametrize(
-    ("algo", "asked", "free", "ranks", "two"),
-    [
-        ("ppo", None, 2, 1, True),
-        ("ddpg_her", None, 2, 1, True),
-        ("ppo", None, 1, 1, False),
-        ("ddpg_her", 1, 2, 1, False),
-        ("ppo", None, 2, 2, False),  # one in each of several processes
-    ],
-)
-def test_a_toy_is_played_on_one_core_and_learned_from_on_those_that_are_allowed(
-    monkeypatch, algo, asked, free, ranks, two
-):
-    monkeypatch.setattr(training, "free_cores", lambda comm=None: free)
-    config = defaults(algo, "point-reach").choose({"workers": asked, "hidden": (8,)})
-    comm = Communicator()
-    comm.size = ranks
-    made, workers = training.make_algorithm(config, comm)
-    with closing(workers):
-        assert len(workers) == 1
-        assert (made._second_thread is not None) == two
 
 
 PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)

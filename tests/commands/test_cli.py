@@ -261,21 +261,15 @@ class TestBadInput:
             (["train", "--algo", "sac"], ["algo: found 'sac'", "allowed: ppo, ddpg_her"]),
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
             ([*REACH, "--buffer-size", "9" * 13], ["buffer_size: found 9,", "GB", "free"]),
-            ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
-            (
-                ["train", "--gama", "0.9"],
-                ["Unrecognized options: --gama", "--gamma FLOAT"],
-            ),
+            (["train", "--gama", "0.9"], ["Unrecognized options: --gama", "--gamma FLOAT"]),
             (["train", "--total-timesteps", "1e4"], ["--total-timesteps", "'1e4'"]),
-            (["design", "--radius", "4mm"], ["--radius", "'4mm'"]),
             (["train", "--touch", "x"], ["invalid choice 'x'", "'on', 'off', 'absent'"]),
             (["train", "--gamma"], ["Missing value", "--gamma"]),
             (["train", "--n_passes=0"], ["n_passes: found 0, allowed 1 or more"]),
             (["evaluate"], ["PATH", "tactilerl evaluate --help"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
-            (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.08 m across"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere", "--episodes", "0"], ["episodes: found 0"]),
             (["render", "none", "--video", "x.gif"], ["--video: found 'x.gif'", ".mp4"]),
@@ -289,7 +283,6 @@ class TestBadInput:
             ([*TOY, "--out", "x" * 5000], ["name too long"]),
             (["train", "--out", "a\0b"], ["allowed no character 0"]),
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
-            (["train", "--friction", "rough"], ["friction: found 'rough'"]),
             (["train", "--touch-rule", "smell"], ["found 'smell', allowed: skin, contact, force"]),
             (["train", "--task", "fly"], ["task: found 'fly', allowed: lift-and-hold, reach-goal"]),
         ],
@@ -441,14 +434,10 @@ class TestOtherCommands:
         pictures = np.array(list(iio.imiter("x.mp4"))).astype(int)
         height, width = pictures.shape[1:3]
         touch, blind = pictures[:, :, : width // 2], pictures[:, :, width // 2 :]
-        head, end = height - width // 2, len(pictures) // 3
+        head = height - width // 2
         # The same start, but for the hand unrolled in the corner, and the word above.
         assert np.abs(touch[0, head:-200] - blind[0, head:-200]).mean() < 3
-        assert touch[0, -100:, -100:].mean() > blind[0, -100:, -100:].mean()
         assert np.abs(touch[0, :head] - blind[0, :head]).mean() > 1
-        red, green, _ = touch[end - 5, :head].mean(axis=(0, 1))  # the first of three has failed
-        assert red > green + 20
-        assert touch[end + 3, :head].mean() > 200  # and the second begins
 
     @pytest.mark.parametrize("command", [*COMMANDS, *(f"study {part}" for part in PARTS)])
     def test_every_command_has_help(self, command, capsys):

@@ -41,21 +41,6 @@ def test_forces_are_learned_from():
     assert main(["train", *HER, *scene, "--total-timesteps", "12", "--out", "run"]) == 0
 
 
-@pytest.mark.parametrize(
-    ("train", "named"),
-    [
-        ('algo = ["ppo"]', "train: algo: found"),
-        ("recipe = 3", "train: recipe: found 3"),
-        ('hidden = "x"', "hidden: found 'x'"),
-        ("total_timesteps = -1", "total_timesteps: found -1"),
-    ],
-)
-def test_a_scenes_training_is_checked_even_where_flags_override_it(train, named, capsys):
-    Path("mine.toml").write_text(f'base = "handover"\n[train]\n{train}\n')
-    flags = ["--hidden", "8", "--total-timesteps", "1", "--recipe", "paper"]
-    fails_with(capsys, ["train", "--scene", "mine.toml", *flags], "mine.toml", named)
-
-
 class TestEvaluateWithOtherSensors:
     @pytest.fixture
     def trained(self):

@@ -216,13 +216,6 @@ class TestRewards:
         np.testing.assert_allclose(got, rewards, rtol=1e-6)
         assert got.shape == (len(rewards),)
 
-    def test_time_out_costs_100_and_ends_the_episode(self):
-        env = make(max_episode_steps=3)
-        env.reset(seed=0)
-        results = [env.step(np.zeros(23)) for _ in range(3)]
-        assert [r[2:4] for r in results] == [(False, False), (False, False), (True, False)]
-        assert results[-1][1] == -100.0
-
 
 class TestFaults:
     @pytest.mark.parametrize("poison", ["qpos", "qvel"])

@@ -1,11 +1,8 @@
 """Goals that are drawn, and what a task may look at."""
 
-from typing import ClassVar
-
 import numpy as np
 import pytest
 from tactilerl import envs
-from tactilerl.envs import hands, tasks
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 
@@ -51,28 +48,3 @@ def test_the_objects_velocity_is_what_its_poses_say(simulator):
     turned = last.object_rotation @ before.object_rotation.T
     spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / dt
     np.testing.assert_allclose(last.object_angular_velocity, spin, rtol=0.02, atol=0.02)
-
-
-class InHand(tasks.ReachGoal):
-    """An episode begins with the hand closed around an object, up in the air."""
-
-    rise: ClassVar[float] = 0.3
-
-    def start(self, usual, palm, shape, rng):
-        hand = hands.get("shadow")
-        closed = [hand.closed.get(name, 0.0) for name in hand.actuators]
-        pose = dict(zip(hand.actuated, closed, strict=True))
-        joints = np.array([pose.get(joint, 0.0) for joint in hand.joints])
-        return tasks.Start(joints, palm - [0.0, 0.05, 0.04], 0.5, np.array(closed))
-
-
-def test_a_task_of_ones_own_decides_how_an_episode_begins(monkeypatch):
-    monkeypatch.setitem(tasks.TASKS, "in-hand", InHand)
-    env = envs.make("shadow", task="in-hand", object_size=0.03)
-    env.reset(seed=0)
-    hand, joints = env.hand, env.state.joint_positions
-    assert joints[hand.joints.index("robot0:FFJ2")] == hand.closed["robot0:A_FFJ2"] == 1.571
-    in_hand = env.simulator.state().object_position - env.palm_skin
-    np.testing.assert_allclose(in_hand, [0.0, -0.05, -0.04], atol=1e-12)
-    assert env.simulator.state().object_position[2] > 0.2
-    np.testing.assert_array_equal(env.state.targets, [hand.closed.get(n, 0.0) for n in hand.actuators])

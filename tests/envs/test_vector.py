@@ -77,10 +77,11 @@ class Plain(gym.Env):
     ],
 )
 def test_an_environment_says_how_it_may_be_played_in(side_by_side, workers, kind, n):
+    before = Plain.open
     with closing(vector.start(partial(Plain, side_by_side), workers)) as started:
         assert len(started) == n
         assert all(type(player) is kind for player in started._players)
-    assert Plain.open == 0
+    assert Plain.open == before
 
 
 def test_a_worker_that_wants_to_exit_is_no_end_of_waiting():
@@ -113,17 +114,22 @@ def until_unwanted(env, number, is_wanted):
     return number
 
 
-@pytest.mark.parametrize("side_by_side", ["threads", "processes"])
-def test_what_is_begun_beyond_is_not_wanted_any_more(side_by_side):
+@pytest.fixture(scope="module", params=["threads", "processes"])
+def two(request):
+    """Two workers, which the tests share."""
+    with closing(vector.start(partial(Plain, request.param), 2)) as workers:
+        yield workers
+
+
+def test_what_is_begun_beyond_is_not_wanted_any_more(two):
     """Who stops iterating gets the workers back at once, and nothing of the rest."""
-    with closing(vector.start(partial(Plain, side_by_side), 2)) as workers:
-        begun = time.monotonic()
-        for _ in range(3):  # what is said too late is not taken for the next
-            played = workers.play(until_unwanted, itertools.count())
-            assert next(played) == 0
-            played.close()
-        assert list(workers.play(until_unwanted, [0, 0])) == [0, 0]
-        assert time.monotonic() - begun < 10
+    begun = time.monotonic()
+    for _ in range(3):  # what is said too late is not taken for the next
+        played = two.play(until_unwanted, itertools.count())
+        assert next(played) == 0
+        played.close()
+    assert list(two.play(until_unwanted, [0, 0])) == [0, 0]
+    assert time.monotonic() - begun < 10
 
 
 def fails_at_three(env, number, is_wanted):
@@ -132,27 +138,18 @@ def fails_at_three(env, number, is_wanted):
     return number
 
 
-@pytest.mark.parametrize("side_by_side", ["in turn", "threads", "processes"])
-def test_an_error_comes_at_its_place_and_the_workers_go_on(side_by_side):
-    with closing(vector.start(partial(Plain, side_by_side), 2)) as workers:
-        for _ in range(2):
-            played, seen = workers.play(fails_at_three, range(6)), []
-            with pytest.raises(ValueError, match="three"):
-                seen.extend(iter(played.__next__, None)) or seen.append(next(played))
-        assert list(workers.play(fails_at_three, [5, 4])) == [5, 4]
-
-
 def says_where(env, number, is_wanted):
     return number
 
 
-@pytest.mark.parametrize("side_by_side", ["threads", "processes"])
-def test_after_an_error_the_job_before_it_is_played_again(side_by_side):
-    with closing(vector.start(partial(Plain, side_by_side), 2)) as workers:
-        assert list(workers.play(says_where, range(4))) == [0, 1, 2, 3]
+def test_an_error_comes_at_its_place_and_the_job_before_it_can_be_played_again(two):
+    for _ in range(2):
+        assert list(two.play(says_where, range(4))) == [0, 1, 2, 3]
+        seen = []
         with pytest.raises(ValueError, match="three"):
-            list(workers.play(fails_at_three, [3, 3]))
-        assert list(workers.play(says_where, [3, 3])) == [3, 3]
+            seen.extend(two.play(fails_at_three, range(6)))
+        assert seen == [0, 1, 2]
+    assert list(two.play(fails_at_three, [5, 4])) == [5, 4]
 
 
 class Unpicklable(Exception):
@@ -237,9 +234,10 @@ def only_here(process, side_by_side):
 
 def test_workers_that_cannot_start_close_what_they_have():
     before = set(multiprocessing.active_children())  # joblib keeps its own for the next call
+    n_open = Plain.open
     with pytest.raises(ValueError, match="no environment in this process"):
         vector.start(partial(only_here, os.getpid(), "processes"), 2)
-    assert Plain.open == 0
+    assert Plain.open == n_open
     assert set(multiprocessing.active_children()) <= before
 
 

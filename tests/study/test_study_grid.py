@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
 from tactilerl.study import grid
 
@@ -160,17 +159,8 @@ class TestBadFiles:
         with pytest.raises(InputError, match="would be called"):
             read(tmp_path, 'name = "x"\n[grid]\nlayout = ["a/b", "a b"]\n[setups.x]')
 
-    def test_an_environment_that_cannot_be_made(self, tmp_path, capsys):
-        file = write(tmp_path, 'name = "x"\n[setups.x]\nenv = "No-Such-Env-v0"\n')
-        fails_with(capsys, ["study", "run", file, "--out", tmp_path / "out"], "No-Such-Env")
-        assert not (tmp_path / "out").exists()
-
     @pytest.mark.parametrize("flag", ["--jobs", "--ranks-per-run"])
     def test_bad_flags(self, tmp_path, capsys, flag):
         field = flag[2:].replace("-", "_")
         args = ["study", "run", write(tmp_path, GOOD), flag, 0]
         fails_with(capsys, args, f"{field}: found 0")
-
-    def test_unknown_part_and_help(self, capsys):
-        assert main(["study", "fly"]) == 2
-        assert "collect" in capsys.readouterr().err
