@@ -255,18 +255,6 @@ class TestTrain:
         assert tactilerl.train(resume=run, total_timesteps=121) == run
         assert len(Path("run/progress.csv").read_text().splitlines()) == 3
 
-    def test_a_run_goes_on_as_it_began(self):
-        tactilerl.train("lqr", out="run", total_timesteps=1, **PPO)
-        for choices, words in [
-            (dict(gamma=0.5), "gamma: found 0.5, the run was made with 0.99"),
-            (dict(algo="ddpg_her"), "algo: "),
-            (dict(out="there"), "out: "),
-            (dict(recipe="steady"), "run: .*, the run was made with"),
-            (dict(env="shadow"), "env: found 'shadow', the run was made with 'lqr'"),
-        ]:
-            with pytest.raises(ValueError, match=words):
-                tactilerl.train(resume="run", **choices)
-
 
 MISTAKES = [
     (lambda: tactilerl.train("lqr", gamma=2), "gamma: found 2.0, allowed from 0 to 1"),

@@ -150,12 +150,6 @@ class TestTargets:
             target = learner._targets(learner._as_inputs(batch))
             torch.testing.assert_close(target, torch.full((8,), 5 * high))
 
-    def test_relabelled_rewards_count_for_the_bounds(self):
-        """0 at the goal's absence, +1 at the goal: none lived, but hindsight finds some."""
-        env = GoalEnv(reward=0.0)
-        env.compute_reward = lambda achieved, desired, info: (achieved == desired).all(-1) * 1.0
-        assert trained(5, make(env, replay_p=1.0)).best == 1.0
-
     def test_terminal_transitions_bootstrap_unless_told_otherwise(self):
         for termination, is_cut in (("bootstrap", False), ("terminal", True)):
             env = GoalEnv(length=1, terminated=True)
@@ -212,13 +206,6 @@ class TestUnitOfRewards:
         assert learner.reward_scale > 2 * before
         for critic, values in zip(critics, said, strict=True):
             torch.testing.assert_close(learner.reward_scale * critic(inputs), values)
-
-    def test_the_largest_return_of_any_rank_counts(self):
-        learner = make(normalise_rewards=True)
-        learner.comm.all_gather = lambda found: [found, (0.0, 0.0, 50.0)]
-        learner._update_reward_scale(np.zeros(1, np.float32))
-        of_ones = sum(0.8**t for t in range(5))
-        assert learner.reward_scale == pytest.approx(50 / of_ones)
 
 
 class TestFallsOverTheRun:

@@ -14,13 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tactilerl
 import torch
 from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
-from tactilerl.envs import plugins, scripted
-from tactilerl.pictures.render import Filmed
+from tactilerl.envs import plugins
 from tactilerl.runs import evaluation, store
 from tactilerl.runs.store import TIMES
 
@@ -152,34 +150,21 @@ class TestResume:
         main([*toy, "--total-timesteps", "600", "--out", "other", "--seed", "1"])
         assert progress(Path("other")) != progress(Path("whole"))
 
-    @pytest.mark.parametrize(
-        ("algo", "times"),
-        [
-            pytest.param("ppo", 2, marks=pytest.mark.slow),
-            pytest.param("ddpg_her", 2, marks=pytest.mark.slow),
-            ("ddpg_her", 1),
-        ],
-    )
-    def test_killed_run_equals_the_uninterrupted_one(self, algo, times):
-        """kill -9 after a checkpoint, and again in the middle of an epoch, on the real hand."""
+    @pytest.mark.parametrize("algo", [pytest.param("ppo", marks=pytest.mark.slow), "ddpg_her"])
+    def test_killed_run_equals_the_uninterrupted_one(self, algo):
+        """kill -9 after a checkpoint, on the real hand."""
         args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER
         args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
         args += ["--total-timesteps", "240"]
         main([*args, "--out", "whole"])
-        command = [sys.executable, "-m", "tactilerl"]
+        command = [sys.executable, "-m", "tactilerl", *args, "--out", "killed"]
         env = os.environ | {"OMP_NUM_THREADS": "1"}
-        for attempt in range(times):
-            more = [*args, "--out", "killed"] if attempt == 0 else ["train", "--resume", "killed"]
-            process = subprocess.Popen([*command, *more], env=env, stdout=subprocess.DEVNULL)
-            checkpoint, started = Path("killed/checkpoint.pt"), time.time()
-            seen = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
-            while time.time() - started < 60 and process.poll() is None:
-                if checkpoint.exists() and checkpoint.stat().st_mtime_ns != seen:
-                    break
-                time.sleep(0.005)
-            time.sleep(0.1 * attempt)
-            process.send_signal(signal.SIGKILL)
-            process.wait()
+        process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
+        started = time.time()
+        while not Path("killed/checkpoint.pt").exists() and time.time() - started < 60:
+            time.sleep(0.005)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
         assert main(["train", "--resume", "killed"]) == 0
         assert progress(Path("whole")) == progress(Path("killed"))
         assert same_checkpoint(Path("whole"), Path("killed"))
@@ -406,21 +391,6 @@ class TestOtherCommands:
         red, _, blue = np.moveaxis(picture.astype(int), -1, 0)
         assert ((blue > 100) & (red < 60)).sum() > 20  # taxels that are off
         assert "taxels fire" in out
-
-    def test_a_film_shows_the_hold_test(self):
-        """Picture by picture, as the hand rises; nothing of it is drawn here."""
-        env = tactilerl.make("shadow", layout="6", hold_seconds=0.4)
-        start = scripted.Offsets()
-        for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
-            pass
-        heights, began = [], env.simulator.data.time
-        state = env.simulator.state
-        env.simulator = Filmed(env.simulator, 10, lambda: heights.append(state().palm[2]))
-        assert env.task.hold.run(env.simulator, state())
-        assert len(heights) == round((env.simulator.data.time - began) / 0.04)
-        assert len(heights) > 50
-        assert np.ptp(heights) > 0.6
-        assert np.abs(np.diff(heights)).max() < 0.02
 
     def test_a_film_shows_runs_side_by_side_from_the_same_starts_with_the_score(self):
         iio = pytest.importorskip("imageio.v3")

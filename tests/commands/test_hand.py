@@ -154,13 +154,3 @@ def test_what_a_model_does_not_say_is_asked_for(capsys):
     Path("mine.toml").write_text("somebody's")
     fails_with(capsys, flags, "it is there already")
     assert Path("mine.toml").read_text() == "somebody's"
-
-
-def test_the_length_of_fingers_is_from_joint_to_joint():
-    """Where links are of any shape, which overlap; the scene's lengths go by it."""
-    capsule = 'type="capsule" size="0.008" fromto="0 0 0 0.03 0 0"'
-    assert capsule in TIP
-    guessed(MODEL.replace(TIP, TIP.replace(capsule, 'type="box" size="0.04 .01 .01" pos="0.03 0 0"')))
-    hand = hands.get("hand.toml")
-    tip = hand.fingertips[0][1]
-    assert hand.finger_length == pytest.approx(0.05 + math.hypot(*tip), abs=1e-3)

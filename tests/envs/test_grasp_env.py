@@ -284,19 +284,6 @@ class TestFaults:
             env.reset(seed=0)
 
 
-@pytest.mark.parametrize(
-    ("hand", "size"), [("shadow", 0.01), ("shadow", 0.03), ("shadow", 0.05), (GRIPPER, 0.05)]
-)
-def test_nothing_overlaps_at_the_start(hand, size, read_here):
-    env = envs.make(hand, object_size=size)
-    model, data = env.simulator.model, env.simulator.data
-    ground, thing = model.geom("ground").id, model.geom("object").id
-    for seed in range(10):
-        env.reset(seed=seed)
-        depths = [-c.dist for c in data.contact if {c.geom1, c.geom2} != {ground, thing}]
-        assert max(depths, default=0.0) <= 0.0
-
-
 @pytest.mark.parametrize("friction", [0.3, 2.5])
 def test_friction_is_the_objects_against_everything(friction):
     env = make(friction=friction, task="reach-goal")

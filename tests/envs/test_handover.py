@@ -139,15 +139,6 @@ class TestEpisode:
         short = make(max_episode_steps=tasks.Handover.waits[1] + 18)
         assert all(Reflex("touch", 1, 1.0).play(short, seed) for seed in range(4))
 
-    def test_a_hand_whose_actuators_have_groups_of_their_own_stays_strong(self):
-        """The giver is switched off by its group."""
-        env = make()
-        env.simulator.let_go()
-        model, giver = env.simulator.model, env.simulator._giver
-        switched_off = model.opt.disableactuator >> model.actuator_group & 1
-        assert switched_off[giver].all()
-        assert switched_off.sum() == len(giver)
-
 
 class TestActions:
     def test_grip_is_one_action_that_closes_the_whole_hand(self, hand):

@@ -110,14 +110,6 @@ def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):
     assert complaint in str(error.value)
 
 
-def test_a_point_in_the_place_of_a_patchs_taxel_is_refused(tmp_path):
-    (path := tmp_path / "twice.toml").write_text(patch := "[[patch]]\n" + GOOD)
-    (point,) = layouts.load(str(path)).place(HAND).points
-    path.write_text("\n".join([patch, *point.toml()]))
-    with pytest.raises(ValueError, match=r"taxels 1 and 2, .*: found the same name"):
-        layouts.load(str(path)).place(HAND)
-
-
 @pytest.mark.parametrize("name", [*layouts.PAPER, layouts.MODEL])
 def test_what_stands_for_a_layout_is_that_layout(name, tmp_path):
     """Not what has its name: files are called anything."""

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import gymnasium as gym
 import pytest
-import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import scenes
 from tactilerl.envs.hands import HANDS, get
@@ -47,13 +46,6 @@ def test_flags_change_what_a_scene_says(capsys):
     assert main(["evaluate", "run", "--episodes", "2", "--json", "--workers", "1"]) == 0
     assert json.loads(capsys.readouterr().out)["episodes"] == 2
     assert main(["train", "--resume", "run"]) == 0
-
-
-@pytest.mark.pybullet
-def test_another_hand_and_simulator_in_the_same_scene():
-    env = tactilerl.make("shadow", scene="handover", simulator="pybullet", layout=4)
-    assert env.action_space.shape == (1,)
-    assert env.unwrapped.simulator.creeps is False
 
 
 class TestOwnFile:

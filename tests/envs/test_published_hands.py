@@ -241,13 +241,6 @@ class TestServos:
         assert model_file.compiled(hand.build()).joint("l_a").range == pytest.approx([-0.5, 1.0])
         assert hand.couplings[0].offset == pytest.approx(0.1 + 0.5 * math.radians(20))
 
-    def test_couplings_of_the_file_where_a_joint_rests_elsewhere_than_at_0(self, made):
-        row = "[couplings]\nl_b = {follows = 'l_a', ratio = 0.5, offset = 0.1}\n[[grasp]]"
-        text = TOML.replace("[[grasp]]", row).replace('"?_b"', "r_b")
-        path = made(MODEL.replace("damping", 'ref="0.3" damping', 2), text)
-        assert hands.get(path).couplings[0].offset == pytest.approx(0.1)
-        assert at_start(path)["l_b"] == pytest.approx(0.1, abs=0.02)
-
     def test_what_stands_in_a_frame(self, made):
         plain = hands.get(made())
         model = MODEL.replace(FINGERS, fingers(f'<frame pos="0.004 0 0">{TIP}</frame>'))
@@ -264,14 +257,6 @@ class TestServos:
         hand = hands.get(path)
         assert hand.joints[:4] == (*hands.SLIDES, "wrist")
         assert at_start(path, simulator)["wrist"] == pytest.approx(0.0, abs=0.02)
-
-    def test_what_nothing_drives_starts_where_the_file_says(self, made):
-        text = 'passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b") + "[start]\nr_b = 0.3\n"
-        assert hands.get(made(toml=text)).closing_from(0.2, "grip").start["r_b"] == 0.3
-
-    def test_masses_of_what_has_no_inertial(self, made):
-        with pytest.raises(ValueError, match="masses: found 'l_1', allowed bodies whose model has an"):
-            hands.get(made(toml=TOML + "[masses]\nl_1 = 0.5\n"))
 
     def test_includes_beside_what_includes_them(self, made, tmp_path):
         (tmp_path / "in").mkdir()
@@ -317,10 +302,6 @@ class TestModels:
             assert len(hand.surfaces[1].geoms) == 2
         assert hand.welded["l_tip"].link == "l_2"
 
-    def test_several_roots_are_one_rigid_base(self, made):
-        other = f'</body><body name="w" pos="0 0 0.3">{FINGERS}'
-        assert hands.get(made(MODEL.replace(FINGERS, other))).palm
-
     def test_a_models_own_floor_is_left_out(self, made):
         floor = '<worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 0.08"/>'
         hand = hands.get(made(MODEL.replace("<worldbody>", floor)))
@@ -335,14 +316,6 @@ class TestModels:
             model = model.replace(turns, f'name="{n}_a" type="slide" axis="0 0 {-s}" range="0 0.03"')
         hand = hands.get(made(model, FOLLOWERS.replace("0.6", "0.02")))
         assert np.allclose(hand.surfaces[0].palmar, (0, 0, 1), atol=1e-4)  # the left slides towards it
-
-    def test_a_link_that_stays_parallel_has_the_palmar_side_of_its_finger(self, made):
-        model = with_more(coupled("0 -0.5 0")).replace('range="0 1.5"', 'range="-1.5 1.5"')
-        hand = hands.get(made(model, FOLLOWERS))
-        assert hand.surfaces[1].palmar == pytest.approx(hand.surfaces[0].palmar)
-
-    def test_a_file_that_is_no_xml_by_name_is_read(self, made):
-        assert hands.get(made(name="hand.mjcf")).actuated == hands.get(made()).actuated
 
     def test_a_range_may_be_given(self, made):
         path = made(UNLIMITED, TOML.replace("[closed]", "[ranges]\nl_a = [0, 1]\n[closed]"))
@@ -464,10 +437,6 @@ class TestSensors:
         for targets in grasp(env):
             env.step_to(targets)
         assert env.taxel_readings().tolist() == [1, 1, 0]
-
-    def test_a_model_without_any(self, made):
-        with pytest.raises(ValueError, match="layout 'model' puts no taxel on the hand hand"):
-            layouts.load("model").place(hands.get(made()))
 
     def test_points_on_a_part_of_a_link_are_on_the_link(self, made):
         pad = '<body name="pad" pos="0.02 0 0" euler="0 1.5708 0"/>'

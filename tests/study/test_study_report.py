@@ -93,13 +93,6 @@ class TestFiles:
         assert "smallest group has 4 runs" in printed(capsys, ["study", "report", path, *args])
         assert contents(tmp_path / "from_file") == contents(written.parent)
 
-    def test_every_table_and_figure_is_a_file(self, result, written):
-        names = {p.relative_to(written.parent).as_posix() for p in written.parent.rglob("*.*")}
-        for one in parts(result, report.Table):
-            assert f"tables/{one.name}.csv" in names
-        for one in parts(result, report.Picture):
-            assert f"figures/{one.name}.svg" in names
-
     def test_no_network_and_no_double_ids(self, written):
         text = written.read_text()
         assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", text.replace("xmlns", ""))

@@ -222,19 +222,6 @@ class TestSharing:
         assert folder.record(run).state == "interrupted"
         assert folder.beside(run, "log").read_bytes() == log
 
-    @pytest.mark.parametrize("there", ["", "runs", "study.json", ".0123456789abcdef.tmp"])
-    def test_another_starter_may_have_begun_to_make_the_folder(self, undisturbed, tmp_path, there):
-        study = StudyFiles(undisturbed).study()
-        folder = StudyFiles(tmp_path / "out")
-        if there:
-            folder.path.mkdir()
-        if there == "study.json":
-            shutil.copy(undisturbed / there, folder.path)
-        elif there:
-            (folder.path / there).mkdir()
-        folder.create(study)
-        assert folder.study() == study
-
 
 def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
     over = threading.Event()
