@@ -100,13 +100,14 @@ class DDPGHERConfig:
     """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 if the task
     has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
-    """How the gradients of several processes are combined (source: sum)."""
+    """Combination of the gradients of several processes (source: sum)."""
     clip_target: bool = True
     """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source), wider
     once rewards below -1 or above 0 are seen. With --normalise-rewards it follows all rewards."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
-    """How the end of an episode by termination is treated. bootstrap: the target network's value
-    is added, since the source has no done mask; terminal: it is not."""
+    """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
+    since the source has no done mask; terminal: it is not.
+    """
     normalise_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
     reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean
@@ -114,7 +115,7 @@ class DDPGHERConfig:
 
     @property
     def anneals(self) -> bool:
-        """Whether the course of a run depends on how long it will be."""
+        """True if the course of a run depends on how long it will be."""
         return self.anneal_lr or self.anneal_noise or self.anneal_action_l2
 
     def acting(self, remaining: float) -> DDPGHERConfig:

@@ -1,4 +1,4 @@
-"""What the training loop asks of a learner, and what the learners here have in common."""
+"""Define the learner that the training loop calls, and what all learners here have in common."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Learner(ABC):
     plain: ClassVar[Sequence[str]]
     """Attributes that are saved as they are: numbers, or dicts of numbers and tensors."""
     cycles_per_epoch = 1
-    """How often an epoch collects and updates."""
+    """Number of times that an epoch collects and updates."""
     replay: Any = None
     """The `Replay` of an off-policy learner."""
 
@@ -110,7 +110,7 @@ class Learner(ABC):
 
     @property
     def progress_remaining(self) -> float:
-        """What is left of the run, from 1 to 0."""
+        """Fraction of the run that is left; falls from 1 to 0."""
         return progress_remaining(self.env_steps, self.total_timesteps)
 
     # -- shared steps of learning ------------------------------------------------------------

@@ -44,11 +44,11 @@ class Communicator:
         return values
 
     def all_gather(self, value: Any) -> list[Any]:
-        """The values of all ranks, in their order, on every rank."""
+        """Return the values of all ranks, in their order, on every rank."""
         return [value]
 
     def receive(self, value: Any) -> Iterator[Any]:
-        """The values of all ranks, one after another, on rank 0; nothing on the others.
+        """Yield the values of all ranks, one after another, on rank 0; nothing on the others.
 
         Every rank must exhaust it. Rank 0 holds no more than one of them at a time.
         """
@@ -101,12 +101,12 @@ class MPICommunicator(Communicator):
 
 
 def launched_rank() -> str | None:
-    """Which rank an MPI launcher says that this process is; None without a launcher."""
+    """Return the rank that an MPI launcher gave this process; None without a launcher."""
     return next((os.environ[name] for name in RANKS if name in os.environ), None)
 
 
 def world() -> Communicator:
-    """All ranks of this launch; a lone Communicator without a launcher, or where it started one alone.
+    """Return all ranks of this launch; a lone Communicator without a launcher or for a launch of one.
 
     Without mpi4py, rank 0 of a launch whose size nobody told is alone. ImportError on several ranks.
     """
@@ -132,7 +132,7 @@ def abort(code: int) -> None:
 
 
 def same_on_all_ranks(comm: Communicator, tensor: Tensor) -> bool:
-    """Is `tensor` bit for bit the same everywhere?"""
+    """Return True if `tensor` is bit for bit the same on all ranks."""
     if comm.size == 1:
         return True
     digest = hashlib.sha256(tensor.detach().cpu().numpy().tobytes()).hexdigest()

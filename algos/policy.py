@@ -1,4 +1,4 @@
-"""What acts: a network, what it is shown and how it explores, and the spaces it acts in."""
+"""Act in an environment: policies, their inputs and exploration, and the spaces they act in."""
 
 from __future__ import annotations
 

@@ -101,8 +101,9 @@ class PPOConfig:
     """Divide rewards by a running scale, so that the largest return so far counts as 1. The critic's
     learning rate then means the same, whatever unit rewards have."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
-    """How a time limit is treated. bootstrap: the return continues with the critic's value of the last
-    observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100."""
+    """Treatment of a time limit. bootstrap: the return continues with the critic's value of the last
+    observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100.
+    """
     anneal_lr: bool = False
     """Decay both learning rates linearly to zero over the run (in the source, not in the paper)."""
     target_kl: Positive32 | None = None
@@ -127,7 +128,7 @@ class PPOConfig:
 
     @property
     def anneals(self) -> bool:
-        """Whether the course of a run depends on how long it will be."""
+        """True if the course of a run depends on how long it will be."""
         return self.anneal_lr
 
     def minibatches(self, n: int) -> int:
@@ -198,7 +199,7 @@ class Surrogate(NamedTuple):
     kl: Tensor
     """Unbiased estimate of the KL divergence from the old policy."""
     is_clipped: Tensor
-    """Whether the ratio is outside the clip range."""
+    """True where the ratio is outside the clip range."""
 
 
 def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:

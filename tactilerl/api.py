@@ -49,7 +49,7 @@ Callback = Callable[[dict[str, Any]], Any]
 
 
 class Learner:
-    """What `PPO` and `DDPGHER` have in common."""
+    """Learn in an environment; the common part of `PPO` and `DDPGHER`."""
 
     algo: ClassVar[str]
 
@@ -64,7 +64,7 @@ class Learner:
         recipe: str = recipes.PAPER,
         **hyperparameters: Any,
     ) -> None:
-        """A learner for `env`, with untrained networks.
+        """Make a learner for `env`, with untrained networks.
 
         `env` is an environment with Box or goal-Dict observations and bounded Box actions, whose
         episodes end; wrap it as you like. Or pass an id, or a function that makes one, to play
@@ -106,8 +106,9 @@ class Learner:
         progress: bool = False,
         callback: Callback | None = None,
     ) -> Learner:
-        """Learn for `total_timesteps` environment steps, and to the end of the cycle that reaches
-        them. Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
+        """Learn for `total_timesteps` environment steps, and to the end of the cycle that reaches them.
+
+        Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
         Returns the learner.
 
         `progress` shows what ``tactilerl train`` shows. `callback` is called after every epoch with
@@ -143,7 +144,7 @@ class Learner:
         self._epoch = row["epoch"]
 
     def policy(self) -> Policy:
-        """A copy of the current policy; further learning does not change it."""
+        """Return a copy of the current policy; further learning does not change it."""
         return copy.deepcopy(self._learner.policy())
 
     def act(
@@ -168,16 +169,18 @@ class Learner:
 
 
 class PPO(Learner):
-    """Proximal policy optimisation. Its hyperparameters are the fields of
-    `tactilerl.algos.ppo.PPOConfig`.
+    """Learn by proximal policy optimisation.
+
+    Its hyperparameters are the fields of `tactilerl.algos.ppo.PPOConfig`.
     """
 
     algo = "ppo"
 
 
 class DDPGHER(Learner):
-    """DDPG with hindsight experience replay, for goal environments. Its hyperparameters are the fields
-    of `tactilerl.algos.ddpg_her.DDPGHERConfig`.
+    """Learn by DDPG with hindsight experience replay, in goal environments.
+
+    Its hyperparameters are the fields of `tactilerl.algos.ddpg_her.DDPGHERConfig`.
     """
 
     algo = "ddpg_her"
@@ -248,13 +251,13 @@ def train(
     resume: str | Path | None = None,
     **flags: Any,
 ) -> Path:
-    """Do what ``tactilerl train`` does, and return the run folder, which `load_policy` and the commands
-    take.
+    """Train as ``tactilerl train`` does, and return the run folder.
 
-    Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``;
-    `recipe` is "paper" where nothing is said; `scene` is a named scene or its file.
-    A run that is in `out` already goes on exactly where its last epoch ended, if it has these settings;
-    `resume` goes on with the run in a folder, whatever its settings.
+    `load_policy` and the commands take that folder. Flags of the command are keywords, as in
+    ``train("shadow", algo="ppo", layout=4, seed=1)``; `recipe` is "paper" where nothing is said;
+    `scene` is a named scene or its file. A run that is in `out` already goes on exactly where its last
+    epoch ended, if it has these settings; `resume` goes on with the run in a folder, whatever its
+    settings.
 
     Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
     when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
@@ -276,8 +279,10 @@ def train(
 
 
 def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
-    """Who plays in `env`; closing them closes only what was made here. Where they are processes,
-    PyTorch computes with `threads` threads in each.
+    """Return workers that play in `env`; closing them closes only what was made here.
+
+    Where they are processes, PyTorch computes with `threads` threads in each. Raise ValueError for
+    an environment that cannot be made, or not side by side.
     """
     if isinstance(env, gym.Env):
         if workers not in (None, 1):

@@ -1,4 +1,4 @@
-"""What a user can mend."""
+"""Define the errors that a user can mend, and the names that people know from other libraries."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ PEERS: dict[str, tuple[str, str]] = {
     )
     for name in names.split()
 }
-"""What people type, mostly names of Stable-Baselines3 and Gymnasium -> what is nearest to it here, and
-how it differs."""
+"""Names that people type, mostly of Stable-Baselines3 and Gymnasium -> (nearest here, difference)."""
 
 BAD_INPUT, BUSY = 2, 75
 """Exit codes of commands that did nothing, since the input was wrong, or since another process is at it

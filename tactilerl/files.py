@@ -41,8 +41,9 @@ FULL = (
 def damage_named(
     path: Path, found: str = "damaged", missing: str = ""
 ) -> Iterator[None]:
-    """Whatever a file's content breaks is an InputError that names the file, and says what it is. Where
-    there is no file it is a FileNotFoundError, or an InputError that says `missing`.
+    """Turn any error from a file's content into an InputError that names the file and says `found`.
+
+    Where there is no file it is a FileNotFoundError, or an InputError that says `missing`.
     """
     try:
         yield
@@ -62,9 +63,7 @@ def damage_named(
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file to read; ValueError where it is none, such as a pipe or a device, which may have no
-    end.
-    """
+    """Open a file to read; ValueError for a pipe or a device, which may have no end."""
     if os.path.exists(path) and not os.path.isfile(path):
         raise ValueError("not a regular file")
     return open(path, "rb")
@@ -80,7 +79,7 @@ def content(path: Path, most: int = LARGEST) -> bytes:
 
 
 def read_json(path: Path) -> Any:
-    """The values in a JSON file."""
+    """Return the values in a JSON file."""
     return json.loads(content(path, MAX_JSON).decode("utf-8"))
 
 
@@ -95,8 +94,9 @@ def unzip(path: Path) -> bytes:
 
 
 def require_new(path: Path, overwrite: bool = False) -> None:
-    """Raise InputError where something is at `path` that a command may not replace: anything but an
-    empty folder, unless it was told to `overwrite`; a link or a device in any case.
+    """Raise InputError where something is at `path` that a command may not replace.
+
+    That is anything but an empty folder, unless it may `overwrite`; a link or a device in any case.
     """
     with writable(path):
         is_folder = path.is_dir() and not path.is_symlink()
@@ -149,7 +149,7 @@ def _require_file(path: Path) -> None:
 
 
 def own_folder(path: Path) -> Path:
-    """A folder in one of ours, made where there is none; InputError where it is a link or a file."""
+    """Make a folder in one of ours if it is missing, and return it; InputError for a link or a file."""
     with writable(path):
         path.mkdir(exist_ok=True)
     if path.is_symlink():
@@ -161,11 +161,10 @@ def own_folder(path: Path) -> Path:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes from writing to a folder, made where there is none; BusyError naming the one
-    that does.
+    """Keep other processes from writing to a folder, made where there is none.
 
-    The system releases the lock when the process ends, however it ends. What a process left that was
-    killed while it wrote is dropped.
+    Raise BusyError naming the process that holds it. The system releases the lock when the process
+    ends, however it ends. What a process left that was killed while it wrote is dropped.
     """
     path = folder / ".lock"
     try:
@@ -199,13 +198,14 @@ def writable(path: Path) -> Iterator[None]:
 
 
 def no_link(name: str, flags: int) -> int:
-    """An `opener` that refuses a link, for files that are written to in place."""
+    """Open a file to write in place, but no link: an `opener` for `open`."""
     return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def require_name(name: Any, where: str) -> str:
-    """A name that files are called by; InputError where it could lead out of a folder, is no text,
-    or is too long.
+    """Return a name that files are called by.
+
+    Raise InputError where it could lead out of a folder, is no text, or is too long.
     """
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise InputError(
@@ -220,5 +220,5 @@ def require_name(name: Any, where: str) -> str:
 
 
 def pasted(path: Path | str) -> str:
-    """A path as it can be pasted into a shell behind a command."""
+    """Return a path as it can be pasted into a shell behind a command."""
     return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))

@@ -14,7 +14,7 @@ from .version import __version__
 
 PACKAGES = ("torch", "numpy", "gymnasium", "gymnasium-robotics", "mpi4py")
 WorkerCount = Annotated[int, "[1, 256]"] | None
-"""How many episodes are played side by side; None: as many as there are free cores."""
+"""Number of episodes that are played side by side; None: as many as there are free cores."""
 
 
 def free_cores(local_ranks: int = 1) -> int:
@@ -76,8 +76,9 @@ def short(commit: str | None) -> str:
 
 
 def commit(folder: Path) -> str | None:
-    """Return the commit of the repository that tracks this package in `folder`, with "-dirty"
-    where tracked files were changed; None where no repository does.
+    """Return the commit of the repository that tracks this package in `folder`.
+
+    It ends in "-dirty" where tracked files were changed; None where no repository tracks the package.
     """
     env = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     git = ["git", "-C", str(folder)]

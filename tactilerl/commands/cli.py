@@ -29,8 +29,10 @@ LONGEST = 600  # characters of an error's line: a path may have 5,000
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit code: 0 done, 1 stopped or failed a check, 2 bad input,
-    75 another process writes there, 130 interrupted.
+    """Run one command and return its exit code.
+
+    0: done, 1: stopped or failed a check, 2: bad input, 75: another process writes there, 130:
+    interrupted.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # shows "?" for what it cannot show

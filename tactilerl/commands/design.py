@@ -44,7 +44,7 @@ class Flags(DesignFlags):
     leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
     """Not on these segments or digits, named likewise."""
     out: Path | None = None
-    """Where the layout goes: FILE.toml, or a folder for the layouts of all numbers, figures, JSON."""
+    """Path for the layout: FILE.toml, or a folder for the layouts of all numbers, figures, JSON."""
     overwrite: bool = False
     """Replace files of --out that are there."""
     json: bool = False
@@ -52,7 +52,7 @@ class Flags(DesignFlags):
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl design --scene handover --taxels 1`"""
+    """Run `tactilerl design --scene handover --taxels 1`."""
     read = flags.parse(Flags, args, "tactilerl design", ABOUT)
     with input_errors():
         read.validate()

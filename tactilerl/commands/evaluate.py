@@ -35,7 +35,7 @@ examples:
 
 @dataclass(frozen=True)
 class _CommandFlags:
-    """What is played."""
+    """Run and episodes that are played."""
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
@@ -46,7 +46,7 @@ class _CommandFlags:
     workers: WorkerCount = None
     """Episodes played side by side; default: one per free core."""
     touch: Literal["on", "off"] | None = None
-    """Whether the policy reads its taxels, as in training; default: the run's."""
+    """Touch for the policy: on, as in training, or off (all taxels read zero); default: the run's."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -60,7 +60,7 @@ class EvaluateFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl evaluate RUN`"""
+    """Run `tactilerl evaluate RUN`."""
     prog = "tactilerl evaluate"
     read = flags.parse(EvaluateFlags, args, prog, ABOUT)
     command: _CommandFlags = read.command

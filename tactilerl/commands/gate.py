@@ -47,7 +47,7 @@ class GateFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl gate --scene handover`"""
+    """Run `tactilerl gate --scene handover`."""
     chosen, args = flags.several(args, "--layout")
     read, scene = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     with input_errors():

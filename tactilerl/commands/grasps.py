@@ -22,8 +22,9 @@ MARK = "# Found by tactilerl for the file beside it, as long as that stays as it
 
 
 def require_grasp(name: str, scene: GraspConfig) -> None:
-    """Have a grasp at hand: where neither the file has one nor one is kept beside it, one is searched
-    for and kept; ValueError where none holds.
+    """Search for a grasp of the hand and keep it, unless its file has one or one is kept beside it.
+
+    Raise ValueError where none holds.
     """
     if hands.get(name).grasps:
         return
@@ -43,8 +44,9 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
 def found_grasp(
     name: str, scene: GraspConfig, overwrite: bool = False
 ) -> grasp_search.Found | None:
-    """Return the best grasp that a search finds, and how it went; None, with a picture of the best,
-    where that does not hold.
+    """Search for a grasp and return the best, with how it went; None where the best does not hold.
+
+    In that case a picture of it is drawn.
     """
     beside.print(f"{name} has no [[grasp]]: looking for one")
     with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:

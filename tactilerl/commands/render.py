@@ -50,7 +50,7 @@ class RenderFlags:
     overwrite: bool = False
     """Replace a picture or film that is there."""
     pose: Literal["start", "grasp"] = "grasp"
-    """What the picture shows: the start of an episode, or a scripted grasp."""
+    """Pose in the picture: the start of an episode, or a scripted grasp."""
     azimuth: float = Camera.azimuth
     """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: float = Camera.elevation
@@ -65,7 +65,7 @@ class RenderFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a run"""
+    """Run `tactilerl render` (a scripted grasp with its taxels) or `tactilerl render RUN` (a run)."""
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
         if getattr(read, flag) != getattr(RenderFlags, flag):

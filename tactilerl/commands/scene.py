@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class SceneFlag:
-    """Where the other flags of a scene start."""
+    """Scene at which the other flags start."""
 
     scene: str = ""
     """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags override it."""
@@ -77,8 +77,10 @@ def read_scene(
 
 
 def layout_notes(name: str, layout: str) -> list[str]:
-    """Return what to know about a layout on a hand: where it wants taxels and the hand has no
-    surface, and which of its taxels lie beyond theirs.
+    """Return notes about a layout on a hand.
+
+    They name places where it wants taxels and the hand has no surface, and its taxels that lie beyond
+    theirs.
     """
     wanted, hand = layouts.load(layout), hands.get(name)
     placed = wanted.place(hand)

@@ -32,8 +32,9 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
-    """Where runs are trained: local; dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or htcondor
-    (extra: cluster)."""
+    """Place where runs are trained: local; dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or
+    htcondor (extra: cluster).
+    """
     jobs: Annotated[int, "[1, inf)"] | None = None
     """Runs trained side by side; default: one per core. With a batch system: jobs to submit."""
     walltime: str | None = None

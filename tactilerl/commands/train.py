@@ -30,7 +30,7 @@ SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong:
 
 @dataclass(frozen=True)
 class TrainFlags(SceneFlag):
-    """Where the other flags start."""
+    """Settings at which the other flags start."""
 
     recipe: str = ""
     """A set of hyperparameters (paper, steady, ...); default: the scene's, or paper."""
@@ -39,7 +39,7 @@ class TrainFlags(SceneFlag):
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl train`"""
+    """Run `tactilerl train`."""
     given = flags.peek(args, "algo", "env", "recipe", "scene", "resume", "out")
     if given.pop("out") and given["resume"]:
         raise InputError("out: found with --resume; a resumed run stays in its folder")

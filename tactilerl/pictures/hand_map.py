@@ -26,7 +26,7 @@ LIT, LETTER = (255, 200, 0), (20, 20, 20)
 
 
 class Panel(NamedTuple):
-    """Where a surface lies on the map, mm."""
+    """Place a surface on the map; all lengths are in mm."""
 
     x: float
     y: float
@@ -38,8 +38,9 @@ class Panel(NamedTuple):
 
 
 def panels(hand: Hand) -> list[Panel]:
-    """Return a panel for each of the hand's surfaces: digits side by side, their segments from the
-    base up to the tip, and the palm below them.
+    """Return a panel for each of the hand's surfaces.
+
+    Digits stand side by side, their segments from the base up to the tip, and the palm below them.
     """
     spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
     is_usual = set(hand.digits) <= set(DIGITS)
@@ -71,8 +72,9 @@ def panels(hand: Hand) -> list[Panel]:
 
 
 def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
-    """Return what each digit is called, above its tip, and below the palm what that is: the word,
-    and the middle (x, y) of its baseline, mm.
+    """Return the words on the map and the middle (x, y) of the baseline of each, mm.
+
+    Each digit's name stands above its tip, and "palm" below the palm.
     """
     both = list(zip(hand.surfaces, drawn, strict=True))
     tips = [
@@ -88,9 +90,7 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
 
 
 def beyond(hand: Hand, taxels: Taxels) -> list[str]:
-    """Return names of the taxels that lie beyond an end of their segment, where nothing carries
-    them.
-    """
+    """Return names of the taxels beyond an end of their segment, where nothing carries them."""
     drawn, found = panels(hand), []
     for name, place in zip(taxels.names, places.of(taxels), strict=True):
         panel = drawn[place.surface]

@@ -33,8 +33,9 @@ def of(taxels: Taxels) -> list[Place]:
 
 
 def skin(name: str, hand: Hand) -> Taxels:
-    """Return a layout's taxels, or those of a dense skin such as "2mm"; ValueError and
-    FileNotFoundError where there is none.
+    """Return a layout's taxels, or those of a dense skin such as "2mm".
+
+    Raise ValueError and FileNotFoundError where there is none.
     """
     if "\n" in name or not name.endswith("mm"):
         return load(name).place(hand)
@@ -48,9 +49,10 @@ def skin(name: str, hand: Hand) -> Taxels:
 
 
 def dense_skin(hand: Hand, spacing: float) -> Layout:
-    """Return a grid of `spacing` m over the whole palmar side of every segment and of a flat palm
-    around the bases of the fingers; all of the radius of the hand's own. ValueError for a spacing
-    that is none.
+    """Return a grid of taxels every `spacing` m over the palmar side of the whole hand.
+
+    It covers every segment and a flat palm around the bases of the fingers; taxels have the radius
+    of the hand's own. Raise ValueError for a spacing beyond 0.5 to 50 mm.
     """
     if not 0.0005 <= spacing <= 0.05:
         raise ValueError(f"skin: found {1e3 * spacing:g} mm, allowed from 0.5 to 50 mm")

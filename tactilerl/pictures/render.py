@@ -43,8 +43,9 @@ def picture(
     out: Path,
     grasp: ScriptedGrasp | None = None,
 ) -> int:
-    """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
-    it the hand unrolled; return how many taxels fire in it.
+    """Write a picture of the start or of a scripted grasp; return how many taxels fire in it.
+
+    Beside it is the hand unrolled. `grasp` is played instead of the hand's own.
     """
     _writer("--out", out, PICTURES, "PIL")
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
@@ -65,8 +66,10 @@ def picture(
 def staged(
     run: Path, hold_seconds: float, render_mode: str
 ) -> tuple[GraspEnv, Callable[[int], bool]]:
-    """Return a run's own scene, with hold tests of so many seconds, and what plays its policy there
-    from the start of a number: does it succeed? InputError where that is no grasping scene.
+    """Return a run's scene, and a function that plays its policy there and returns its success.
+
+    The scene has hold tests of `hold_seconds`; the function takes the number of a start. Raise
+    InputError where the run is not of a grasping scene.
     """
     import torch
 
@@ -88,9 +91,7 @@ def staged(
 
 
 class _Player:
-    """Films a run's policy in its own scene, with a line above: who plays, which start, what came of
-    it.
-    """
+    """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
     def __init__(
         self, run: Path, hold_seconds: float, camera: Camera, tick: Callable[[], None]
@@ -145,11 +146,11 @@ def film(
     out: Path,
     tick: Callable[[], None],
 ) -> Iterator[list[bool]]:
-    """Write a film of trained runs' policies, in real time, side by side from the same starts; yield
-    each one's success, episode by episode.
+    """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
-    A hold test is as long as `hold_seconds`, also for its verdict. The camera follows the hand. `tick`
-    is called after every picture. InputError when a run's environment is not a grasping one.
+    Yield the success of each, episode by episode. A hold test is as long as `hold_seconds`, also for
+    its verdict. The camera follows the hand. `tick` is called after every picture. InputError when a
+    run's environment is not a grasping one.
     """
     ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
     camera = replace(camera, width=SIDE, height=SIDE, shadows=False)

@@ -1,4 +1,4 @@
-"""What a run is made of: options of the run, choices of the scene, hyperparameters.
+"""Hold a run's configuration: options of the run, choices of the scene, hyperparameters.
 
 Each command-line flag is a field of one of these dataclasses; `--algo`, `--env` and `--recipe`
 decide which dataclasses there are and what the defaults are.
@@ -30,7 +30,7 @@ from ..machine import WorkerCount
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What is trained, how long, and where it is written."""
+    """Options of a run: what is trained, how long, and where it is written."""
 
     algo: str = "ppo"
     """Learner: ppo or ddpg_her."""
@@ -204,8 +204,10 @@ class RunConfig:
 
 
 def _completed(kind: type, saved: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a dataclass as a file of 0.4.0 or later has them: what it lacks has its
-    default, which means what that version did; what it alone has is left out.
+    """Return all fields of a dataclass from those that a file of 0.4.0 or later has.
+
+    A field that the file lacks gets its default, which means what that version did; a field that only
+    the file has is left out.
     """
     usual = json.loads(json.dumps(dataclasses.asdict(kind())))
     known = {k: v for k, v in saved.items() if k not in GONE or v != GONE[k]}

@@ -1,4 +1,4 @@
-"""How good is a trained run? Episodes without exploration noise, and how sure one can be."""
+"""Evaluate a trained run: play episodes without exploration noise, and say how sure the result is."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ SEED = 10_000_000  # evaluation starts are not those of training
 
 
 class OthersPolicy:
-    """Play what is no policy of this library: a function of an observation, or an object with
-    `predict`, as those of Stable-Baselines3. Actions are as the environment takes them.
+    """Play a policy of another library.
+
+    It is a function of an observation, or an object with `predict`, as those of Stable-Baselines3.
+    Actions are as the environment takes them.
     """
 
     def __init__(self, policy: Any, spaces: Spaces, stochastic: bool) -> None:
@@ -73,8 +75,10 @@ def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:
 
 
 def row(episode: Episode[Any]) -> dict[str, Any]:
-    """Return success at the end of an episode (nan where the environment has none), for how many steps
-    it had stood by then, return, length and faults; one that diverged has no success.
+    """Return an episode's success at its end, steps held, return, length and faults.
+
+    Success is nan where the environment has none; an episode that diverged has no success. `held` is
+    the number of steps for which success had stood by the end.
     """
     return {
         "success": episode.success,

@@ -34,7 +34,7 @@ POLICY = {
 
 
 class Trained(NamedTuple):
-    """What a run has come to."""
+    """Hold what is read of a trained run."""
 
     config: RunConfig
     """Its configuration, but on the CPU and with the full hold test."""
@@ -44,12 +44,11 @@ class Trained(NamedTuple):
 
 
 def load_policy(path: str | Path) -> Policy:
-    """Return the policy of a run folder at its last checkpoint, or of a file that `PPO.save` or
-    `DDPGHER.save` wrote.
+    """Return the policy of a run folder at its last checkpoint, or of a file that `save` wrote.
 
-    `policy.act(obs)` is the action for an observation, or for a batch of observations. Files of
-    others are safe to load: only tensors and plain values are read. Raises ValueError, one line,
-    when there is no policy or its file is damaged.
+    Such files come from `PPO.save` and `DDPGHER.save`. `policy.act(obs)` is the action for an
+    observation, or for a batch of observations. Files of others are safe to load: only tensors and
+    plain values are read. Raises ValueError, one line, when there is no policy or its file is damaged.
     """
     path = Path(path)
     if path.is_dir():
@@ -95,8 +94,9 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
 def _policy(
     path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]
 ) -> Policy:
-    """Return the policy in a learner's state; ValueError, before a network is made, where it
-    would be larger than its file.
+    """Return the policy in a learner's state.
+
+    Raise ValueError, before a network is made, where it would be larger than its file.
     """
     sizes = network_sizes(config.hidden, spaces)
     if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:

@@ -79,10 +79,10 @@ def write_tensors(path: Path, content: Values) -> None:
 def read_tensors(
     path: Path, kind: str, version: int, types: dict[str, type], hint: str = ""
 ) -> Values:
-    """Return what `write_tensors` was given: fields of these `types`, the first of which is the
-    `version` of the format. Tensors are mapped from the file, not copied.
+    """Return the values that `write_tensors` wrote, of exactly these fields and `types`.
 
-    InputError where the file is damaged, of another kind, or would run code.
+    The first field is the `version` of the format. Tensors are mapped from the file, not copied.
+    Raise InputError where the file is damaged, of another kind, or would run code.
     """
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
@@ -259,8 +259,9 @@ class RunDir:
     # -- checkpoint.pt -----------------------------------------------------------------------
 
     def read_checkpoint(self, config: RunConfig) -> Values:
-        """Return the content of checkpoint.pt; InputError when damaged or of another
-        configuration. The states of the ranks are for their learners to judge.
+        """Return the content of checkpoint.pt; InputError when damaged or of another configuration.
+
+        The states of the ranks are for their learners to judge.
         """
         path = self.checkpoint_file
         data = read_tensors(path, "checkpoint", FORMAT, CHECKPOINT)
@@ -278,8 +279,9 @@ class RunDir:
 
 
 def _hand_file(path: Path) -> bytes:
-    """Return a hand's file with the absolute path of its model, which may be large and stays where it
-    is; a model of an installed package keeps its name.
+    """Return a hand's file with the absolute path of its model.
+
+    The model may be large and stays where it is; a model of an installed package keeps its name.
     """
     text = validation.read_text(path, "hand file")
     model = str(validation.read(path, "hand file")["model"])
@@ -305,8 +307,9 @@ def as_record(data: Any) -> Values:
 
 
 def parse(text: str) -> tuple[list[Row], str]:
-    """Return the rows of a progress.csv before the first that no run writes, and what is wrong
-    with that one. A last line that was cut off does not count.
+    """Return the valid rows of a progress.csv, and what is wrong with the first that no run writes.
+
+    A last line that was cut off does not count.
     """
     reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     rows, before = list[Row](), (-1, 0)
@@ -440,9 +443,10 @@ def resolve(
     scene: str | None = None,
     resume: str | Path | None = None,
 ) -> RunConfig:
-    """Return the configuration before other choices: `config.defaults`, or that of the run in
-    the folder `resume`. Imports the module that `env` names. InputError where there is no such
-    run, or a scene is named as well.
+    """Return the configuration before other choices: defaults, or that of the run in `resume`.
+
+    Imports the module that `env` names. Raise InputError where `resume` holds no such run, or a scene
+    is named as well.
     """
     module, colon, _ = env.partition(":")
     if colon and ENV_ID.fullmatch(env):

@@ -1,4 +1,4 @@
-"""What can touch win in a scene? Scripted hands of each sense (reflexes), chosen fairly."""
+"""Measure what touch can win in a scene: scripted hands of each sense (reflexes), chosen fairly."""
 
 from __future__ import annotations
 
@@ -57,9 +57,10 @@ def examine(
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
 ) -> list[Found]:
-    """Find the best reflex of each sense in a scene, `starts` starts each. Each has as many
-    candidates, and each candidate the same `search` starts. `tick` is called after every
-    candidate.
+    """Find the best reflex of each sense in a scene, `starts` starts each.
+
+    Each sense has as many candidates, and each candidate the same `search` starts. `tick` is called
+    after every candidate.
     """
     found, first = [], 2 * SEARCH * seed
     for name in senses:

@@ -26,7 +26,7 @@ GOOD = (
 BEST = 6  # candidates from which the next are drawn around
 BESIDE = 0.025  # m that the palm may be beside its place at the start
 GROUNDS = 0.004, -0.03, -0.03
-"""In each search, m of the lowest fingertip over the ground: as the hand closes, tips rise."""
+"""Height of the lowest fingertip over the ground in each search, m: as the hand closes, tips rise."""
 UP = 0.05  # m above its place at the start
 CLOSINGS = (0.3, 1.2)
 TOUCHING = CENTRED = (
@@ -40,14 +40,15 @@ class Found(NamedTuple):
 
     grasp: ScriptedGrasp
     closing: float
-    """How far the fingers close: 1 is to the closed hand."""
+    """Share of the way to the closed hand that the fingers close; 1 is the closed hand."""
     share: float
     """Share of the steps of its holds in which the object was up."""
     digits: float
     """Digits that touched the object, on average."""
     shift: float | None
-    """How far beyond the middle of the last links, towards the tips, they touched it, m; None where
-    they did not."""
+    """Distance beyond the middle of the last links, towards the tips, at which they touched the object,
+    m; None where they did not.
+    """
 
     def toml(self) -> str:
         """Return the grasp as text for the hand's file."""
@@ -64,11 +65,11 @@ def find(
     workers: int,
     tick: Callable[[], None] = lambda: None,
 ) -> Found:
-    """Find the best grasp of the scene's object: of those that hold it as long, the one that most
-    digits touch and that has it best in the middle.
+    """Find the best grasp of the scene's object.
 
-    Cross-entropy search over the palm's place and how far the hand closes, again, and
-    lower, where what it finds is not good. `tick` is called after every candidate. ValueError when
+    Of grasps that hold it as long, the best is the one that most digits touch and that has it best in
+    the middle. This is a cross-entropy search over the palm's place and how far the hand closes, again,
+    and lower, where what it finds is not good. `tick` is called after every candidate. ValueError when
     the hand's file does not say what its closed hand is.
     """
     make = partial(GraspEnv, hand, config)
@@ -107,7 +108,7 @@ def find(
 
 
 Candidate = tuple[Array, Array]
-"""How a candidate went, (4,) as `_hold` says, and its figures (4,)."""
+"""Result of a candidate, (4,) as `_hold` says, and its figures (4,)."""
 
 
 def _goodness(candidate: Candidate) -> float:
@@ -138,8 +139,10 @@ def _search(
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
-    """Return the grasp of some figures: how far the palm is beside its place at the start, (x, y, z) m,
-    and how far the fingers close.
+    """Return the grasp that four figures describe.
+
+    They are the palm's offset (x, y, z) from its place at the start, m, and the share of the way to
+    the closed hand that the fingers close.
     """
     *place, share = figures.tolist()
     targets = dict(zip(SLIDES, place, strict=True))
@@ -153,9 +156,10 @@ def _hold(
     number: int,
     is_wanted: vector.IsWanted,
 ) -> Array:
-    """Hold the object from the start of a number; return (4,) how good that is, the share of the steps
-    in which the object was up, how many digits touched it, and how far beyond the middle of their last
-    links, m.
+    """Hold the object from the start of a number, and return how that went, (4,).
+
+    The entries are how good it is, the share of the steps in which the object was up, the number of
+    digits that touched it, and how far beyond the middle of their last links they did, m.
     """
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])

@@ -44,7 +44,7 @@ class Reflex:
     """One of SENSES."""
     threshold: float
     closing: float
-    """How far the hand closes: 1 is all the way of its scripted grasp, or to the closed hand."""
+    """Share of the way that the hand closes, to its scripted grasp or to the closed hand; 1: all."""
 
     def play(
         self,
@@ -76,7 +76,7 @@ class Reflex:
 
 
 class _Reading:
-    """What the policy would be told, by sense; the newest observation and the first few."""
+    """Read what the policy would be told, by sense: the newest observation and the first few."""
 
     def __init__(self, env: GraspEnv, obs: dict[str, Array]) -> None:
         entries = env.observation_entries
@@ -121,8 +121,10 @@ class _Reading:
         return float(self.step - self._n_first)
 
     def joints(self) -> float:
-        """Return how far any joint, or the hand, is from where it was at first, in what its
-        readings varied by then; of a lift, how still the joints are, rad.
+        """Return how far any joint, or the hand, has moved, relative to how its first readings varied.
+
+        In a lift, return how still the joints are instead, rad: minus the largest change since the last
+        reading.
         """
         seen = np.array(self._seen)[:, self._joints].astype(float)
         if self._lifts:
@@ -136,8 +138,9 @@ class _Reading:
         return float(moved.max())
 
     def active(self) -> float:
-        """Return after a test squeeze how far joints and hand are from where the first one took
-        them, on the mean, rad and m.
+        """Return the mean distance of joints and hand from their places after the first test squeeze.
+
+        It is in rad and m, and 0 but right after a test squeeze.
         """
         if self.step % (2 * TRIAL) != TRIAL:
             return 0.0
@@ -146,9 +149,7 @@ class _Reading:
 
 
 def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
-    """Return fifteen reflexes of a sense to choose from, for every sense as many; none if the scene
-    has no use for it.
-    """
+    """Return the fifteen reflexes of a sense to choose from; none if the scene has no use for it."""
     handed, lifted = SENSES[sense]
     if env.task.giver is not None:
         return [Reflex(sense, threshold, 1.0) for threshold in handed]
@@ -158,8 +159,9 @@ def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
 def _parts(
     env: GraspEnv, closing: float, shift: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Return joint targets of the first part and of the second, of an object `shift` (2,) m beside
-    its place; at the end of a part they stay.
+    """Return the joint targets of the first and of the second part, for an object beside its place.
+
+    The object is `shift` (2,) m beside its place; at the end of a part the targets stay.
     """
     opened = env.hand.start_targets()
     if env.task.giver is not None:

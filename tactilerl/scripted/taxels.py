@@ -1,4 +1,4 @@
-"""Which taxels can fire? What they feel while an object is held in scripted, perturbed grasps."""
+"""Find the taxels that can fire while an object is held in scripted, perturbed grasps."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..envs.state import Array
 
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
 GRASPS, SECONDS = 20, 3.0
-"""How many grasps are played, each slightly different, and how long each is held."""
+"""Number of grasps that are played, each slightly different, and seconds for which each is held."""
 
 
 @dataclass(frozen=True)
 class TaxelCheck:
-    """What the taxels of a scene felt in the grasps that held."""
+    """Hold which taxels of a scene fired, and how often, in the grasps that held."""
 
     grasps: int
     held: int
@@ -36,8 +36,9 @@ class TaxelCheck:
 def check(
     hand: str, config: GraspConfig, n: int = GRASPS, seconds: float = SECONDS
 ) -> TaxelCheck:
-    """Play `n` scripted grasps, always the same ones, held for `seconds`; ValueError where the hand has
-    no grasp, or its object is handed over.
+    """Play `n` scripted grasps, always the same ones, held for `seconds`, and return what taxels felt.
+
+    Raise ValueError where the hand has no grasp, or its object is handed over.
     """
     with closing(GraspEnv(hand, config)) as env:
         if env.task.giver is not None:

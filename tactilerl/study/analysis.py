@@ -1,4 +1,4 @@
-"""From records to numbers: every group of runs, every comparison, every set-up of a study."""
+"""Turn records into numbers: groups of runs, comparisons and set-ups of a study."""
 
 from __future__ import annotations
 

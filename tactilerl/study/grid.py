@@ -56,7 +56,7 @@ SCORES: tuple[str, ...] = get_args(Score)
 
 @dataclass(frozen=True)
 class Primary:
-    """What decides a comparison; written down before the runs."""
+    """Name the score that decides a comparison; it is written down before the runs."""
 
     score: Score = "area"
 
@@ -87,7 +87,7 @@ class Run:
 
     @property
     def place(self) -> tuple[str, str, str]:
-        """What it shares with the runs that differ in nothing but the seed."""
+        """Set-up, setting and group, which runs share that differ in nothing but the seed."""
         return self.setup, self.setting, self.group
 
     def config(self) -> RunConfig:

@@ -51,7 +51,7 @@ class Verdict:
 
     @property
     def is_difference(self) -> bool:
-        """Whether one was detected."""
+        """True if a difference was detected, after Holm's correction."""
         return self.p_holm <= ALPHA
 
 

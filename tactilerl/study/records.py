@@ -78,12 +78,12 @@ class Record:
 
     @property
     def is_finished(self) -> bool:
-        """Whether it is done and has a curve."""
+        """True if the run is done and has a curve."""
         return self.state == "done" and len(self.curve[0]) > 0
 
     @property
     def has_ended(self) -> bool:
-        """Whether there will be no more of it, unless somebody asks for it."""
+        """True if the run is done or failed; it then goes on only when somebody asks for it."""
         return self.state in ("done", "failed")
 
     @property

@@ -1,4 +1,4 @@
-"""What a study says: sentences and tables, and report.html with the same as files beside it.
+"""Report a study: sentences and tables, and report.html with the same as files beside it.
 
 The same records give the same bytes: no file holds a date or a path.
 """

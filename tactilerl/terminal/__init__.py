@@ -1,1 +1,1 @@
-"""What commands say to a person and hear from one: flags, lines, a progress bar, Ctrl-C."""
+"""Talk with a person at a terminal: flags, lines, a progress bar, Ctrl-C."""

@@ -1,4 +1,4 @@
-"""Where commands write for people: one line stays one line however wide the terminal is."""
+"""Print for people: one line stays one line however wide the terminal is."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rich.progress import (
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 beside = Console(stderr=True, soft_wrap=True, markup=False)
-"""For what is no result."""
+"""Console on standard error, for notes that are no result."""
 COLUMNS = 100
 
 
@@ -33,8 +33,10 @@ def paragraph(label: str, text: str) -> str:
 def progress(
     what: str, total: int | None = None, is_shown: bool = True
 ) -> Iterator[Callable[..., None]]:
-    """A bar on standard error, or one line where that is no terminal. Calls of what it yields say how
-    much is done, and perhaps of how much; without arguments, one more.
+    """Show a bar on standard error, or one line where that is no terminal.
+
+    Yields a function to be called as work goes on: with how much is done, and perhaps of how much;
+    without arguments, one more is done.
     """
     screen = Console(stderr=True)
     begun = iter([f"{what} ..."] if is_shown and not screen.is_terminal else [])

@@ -1,4 +1,4 @@
-"""How processes end: by Ctrl-C, on the spot or in order, or with the process that started them."""
+"""End processes: by Ctrl-C, on the spot or in order, or with the process that started them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typing import NoReturn
 
 
 def leave_at_once() -> None:
-    """From now on Ctrl-C ends the process with one line, wherever it is; for a program that has just
-    started, where it is not handled otherwise, or not at all as in the background of a shell.
+    """Let Ctrl-C end the process from now on with one line, wherever it is.
 
-    For commands that leave nothing behind, and while modules are imported: a KeyboardInterrupt in
-    the middle of an import comes out as all kinds of errors.
+    For a program that has just started: nothing changes where Ctrl-C is handled otherwise, or ignored
+    as in the background of a shell. For commands that leave nothing behind, and while modules are
+    imported: a KeyboardInterrupt in the middle of an import comes out as all kinds of errors.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
@@ -40,9 +40,7 @@ PR_SET_PDEATHSIG = 1  # of prctl, linux/prctl.h
 
 
 def end_with(parent: int) -> None:
-    """From now on this process gets SIGTERM when the one that started it ends, however that ends;
-    Linux only.
-    """
+    """Have this process get SIGTERM when its `parent` ends, however that ends; Linux only."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it has ended already

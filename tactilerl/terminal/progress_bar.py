@@ -1,4 +1,4 @@
-"""What a person sees of a run: a progress bar on a terminal, plain lines in a pipe."""
+"""Show the progress of a run: a bar on a terminal, plain lines in a pipe."""
 
 from __future__ import annotations
 
