@@ -7,7 +7,6 @@ hand gets its own distances; patches of files are in millimetres. `place` puts a
 
 from __future__ import annotations
 
-import json
 import math
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -105,13 +104,13 @@ class Patch:
 
     def is_on(self, digit: str, segment: str) -> bool:
         """Return whether it puts taxels there."""
-        if self.segments is None and segment == "palm":
-            return False
-        if self.digits is None and (digit, segment) == ("thumb", "palm"):
-            return False
-        return digit in (self.digits or [digit]) and segment in (
-            self.segments or [segment]
-        )
+        digits = self.digits or [digit]
+        if segment == "palm":
+            if self.digits and "palm" in digits:  # whatever digit that is the palm of
+                return True
+            if self.segments is None or (self.digits is None and digit == "thumb"):
+                return False
+        return digit in digits and segment in (self.segments or [segment])
 
     def spots(
         self, surface: Surface, pitch: Pitch
@@ -171,6 +170,8 @@ class LayoutFile:
     """All that a layout file may say."""
 
     description: str = ""
+    partial: bool = False
+    """True: a hand may lack places that it names."""
     patch: tuple[PatchTable, ...] = ()
     taxel: tuple[dict[str, Any], ...] = ()
     sensor: tuple[SensorTable, ...] = ()
@@ -184,6 +185,7 @@ class Layout:
     description: str
     patches: tuple[Patch, ...]
     taxels: tuple[Point, ...] = ()
+    partial: bool = False
 
     @property
     def is_model(self) -> bool:
@@ -226,16 +228,17 @@ class Layout:
 
     def toml(self) -> str:
         """The text of a layout file, exact to the last digit."""
-        lines = [f"description = {json.dumps(self.description, ensure_ascii=False)}"]
+        lines = [f"description = {validation.quoted(self.description)}"]
+        lines += ["partial = true"] if self.partial else []
         for patch in self.patches:
             offsets = ", ".join(
                 f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets
             )
             lines += ["", "[[patch]]"]
             if patch.digits is not None:
-                lines.append(f"digits = {json.dumps(patch.digits)}")
+                lines.append(f"digits = {validation.quoted(patch.digits)}")
             if patch.segments is not None:
-                lines.append(f"segments = {json.dumps(patch.segments)}")
+                lines.append(f"segments = {validation.quoted(patch.segments)}")
             lines.append(f"offsets_mm = [{offsets}]")
             lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
             if patch.threshold_N is not None:
@@ -304,6 +307,28 @@ def _on_surface(
     return point, index, (row, column, height)
 
 
+def require_places(layout: Layout, hand: Hand) -> None:
+    """Raise ValueError where a layout that is not partial names a digit, or a segment of one, that a
+    hand lacks."""
+    there = {(surface.digit, surface.segment) for surface in hand.surfaces}
+    there |= {(digit, "") for digit in hand.digits}
+    palms = [f"{digit}.palm" for digit, segment in there if segment == "palm"]
+    n_wanted, n_lacking, lacking = 0, 0, []
+    for patch in layout.patches:
+        n_taxels = len(patch.offsets)
+        for place in product(patch.digits or (), patch.segments or ("",)):
+            n_wanted += n_taxels
+            if place not in there and place[0] != "palm":
+                n_lacking += n_taxels
+                lacking.append(".".join(filter(None, place)))
+    if lacking and not layout.partial:
+        raise ValueError(
+            f"layout {layout.name!r}: {n_wanted - n_lacking} of {n_wanted} placed: "
+            f"{', '.join(lacking)} are not on this hand (its palm is {', '.join(sorted(palms))}); "
+            "partial = true in the layout's file leaves them out"
+        )
+
+
 def left_out(layout: Layout, hand: Hand) -> list[str]:
     """Return where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any
     shape has a gap: thumb.distal[+1,-1].
@@ -317,6 +342,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
         for place in product(patch.digits or every, patch.segments or SEGMENTS)
         if patch.is_on(*place)
     ]
+    there |= {("palm", "palm")}
     missing = [".".join(each) for each in dict.fromkeys(wanted) if each not in there]
     spots = layout.on_grids(hand)
     return missing + [
@@ -398,7 +424,7 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
     points += taxel_files.mounted(file.sensor, path.parent)
     require_distinct(points)
     patches = tuple(table.patch() for table in file.patch)
-    return Layout(path.stem, file.description, patches, tuple(points))
+    return Layout(path.stem, file.description, patches, tuple(points), file.partial)
 
 
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:

@@ -117,9 +117,11 @@ class Guess:
             sum(len(list(child.find_all("joint"))) for child in body.bodies)
             for body in (palm, link)
         )
+        if on_palm == on_link or on_link >= 2 * on_palm:  # or another hand is on it
+            link, on_link = palm, on_palm
         if len(list(spec.joints)) - on_link > WRIST:
-            self.keys["root"] = (palm if on_palm == on_link else link).name
-            self.notes.append(f"root: cut off what {palm.name} hangs on")
+            self.keys["root"] = link.name
+            self.notes.append(f"root: cut off what {link.name} hangs on")
 
     def _palm_of(self, spec: mujoco.MjSpec) -> str:
         branches: dict[str, list[str]] = {}
@@ -137,7 +139,12 @@ class Guess:
                 "palm: found no body from which two digits branch; name it with --palm"
             )
         parents = [branches[link] for link in branches if rank(link) == best]
-        palms = [max(names, key=names.count) for names in parents]
+        palms = [
+            name
+            for names in parents
+            for name in dict.fromkeys(names)
+            if names.count(name) == max(map(names.count, names))
+        ]
         if len(palms) > 1:
             self.notes.append(
                 f"palm: found {len(palms)} ({', '.join(palms)}), took the first; --palm names another"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from ..state import Array
+from ..validation import quoted
 
 if TYPE_CHECKING:
     from .geometry import Geom
@@ -253,7 +253,7 @@ class Point(NamedTuple):
         """Return lines of a layout file."""
         values = {"name": self.name, **self._asdict()}.items()
         given = [(key, value) for key, value in values if value not in ((), None)]
-        texts = [f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in given]
+        texts = [f"{key} = {quoted(value)}" for key, value in given]
         return ["[[taxel]]", *texts]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ import mujoco
 import numpy as np
 
 from ..state import Array
-from ..validation import require_one_of, require_rising
+from ..validation import quoted, require_one_of, require_rising
 from . import model_file, mount
 from .geometry import beside, placed, posed, unit
 from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
@@ -202,7 +201,7 @@ class Parts:
         if empty := [body.name for body in mount.weightless(spec)]:
             raise ValueError(
                 "model: found links without mass or shape; leave them out: "
-                f"drop = {json.dumps(empty)}"
+                f"drop = {quoted(empty)}"
             )
         return spec
 
@@ -387,7 +386,7 @@ class Parts:
         closed = self.angles(self.file.closed, "closed")
         followers = [each.joint for each in self.follows]
         for joint in [joint for joint in closed if joint not in self.driven]:
-            drop = json.dumps([*self.driven.values()])
+            drop = quoted([*self.driven.values()])
             more = f", or give all joints the library's: drop = {drop}"
             raise ValueError(
                 f"closed.{joint}: found a joint without an actuator; leave it out"

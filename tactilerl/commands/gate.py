@@ -56,7 +56,9 @@ def main(args: list[str]) -> int:
         beside = [dataclasses.replace(scene, layout=layout) for layout in chosen[1:]]
         for each in (scene, *beside):
             validation.validate(each)
-            layouts.load(each.layout).place(hands.get(read.env))
+            layout, hand = layouts.load(each.layout), hands.get(read.env)
+            layouts.require_places(layout, hand)
+            layout.place(hand)
         if scene.task != "handover":
             require_grasp(read.env, scene)
     with (

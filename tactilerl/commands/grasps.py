@@ -18,6 +18,7 @@ from ..scripted import grasp_search
 from ..terminal.console import beside, progress
 
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
+FAR = 2.0  # times as far off is a camera that sees the hand over an object that fell
 MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
 
 
@@ -83,9 +84,12 @@ def draw(
     overwrite: bool, grasp: ScriptedGrasp | None = None,
 ) -> None:  # fmt: skip
     """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
+    away = hands.get(name).reach / hands.Hand.reach * Camera.distance
+    far = 1.0 if grasp is None else FAR
     try:
         require_new(path, overwrite)
-        render.picture(name, scene, pose, Camera(azimuth=300.0), path, grasp)
+        camera = Camera(azimuth=300.0, distance=far * away)
+        render.picture(name, scene, pose, camera, path, grasp)
         screen.print(f"{path}: {what}")
     except (ImportError, OSError, InputError) as error:
         screen.print(f"no picture: {error}")

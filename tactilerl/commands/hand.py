@@ -57,8 +57,12 @@ def main(args: list[str]) -> int:
     require_new(read.out, read.overwrite)
     with input_errors():
         _write(read)
+        _say_what_was_guessed(read.out)
         hand = hands.get(str(read.out))
-        _say_what_was_guessed(read.out, hand)
+        n_actuators = len(hand.actuators) - len(hands.SLIDES)
+        console.print(f"  closing: {len(hand.closed)} of {n_actuators} actuators")
+        for note in hand.notes:
+            console.print(f"  note: {note}")
         scene = setup(str(read.out), layout="1")
         found = found_grasp(str(read.out), scene, read.overwrite)
     if found is not None:
@@ -86,7 +90,12 @@ def _write(read: HandFlags) -> None:
         path = Path(model).parent.resolve() / Path(model).name
         model = os.path.relpath(path, read.out.parent.resolve())
     notes = _written(read.out, model, said)
-    if bad := _servos_fail(read.out):
+    try:
+        bad = _servos_fail(read.out)
+    except ValueError:
+        _say_what_was_guessed(read.out)
+        raise
+    if bad:
         notes = _written(read.out, model, {**said, "servos": "library"})
         notes.append(f"{bad}: the joints get the library's servos")
     for note in notes:
@@ -118,15 +127,10 @@ def _servos_fail(path: Path) -> str:
         return str(error).rpartition("model: ")[2].partition(";")[0]
 
 
-def _say_what_was_guessed(path: Path, hand: hands.Hand) -> None:
+def _say_what_was_guessed(path: Path) -> None:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
-    console.print(f"{path}: guessed, and changed in the file:")
+    console.print(f"{path}: guessed; correct it in the file:")
     for key in ("palm", "palmar", "fingers"):
         console.print(f"  {key}: {data[key]}")
     for name, about in data["digits"].items():
         console.print(f"  digits.{name}: {', '.join(about['links'])}")
-    console.print(
-        f"  closing: {len(hand.closed)} of {len(hand.actuators) - 3} actuators"
-    )
-    for note in hand.notes:
-        console.print(f"  note: {note}")

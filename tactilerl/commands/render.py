@@ -82,11 +82,12 @@ def main(args: list[str]) -> int:
         return 0
     require_new(read.out, read.overwrite)
     with input_errors():
+        notes = layout_notes(read.env, scene.layout)
         if read.pose == "grasp":
             require_grasp(read.env, scene)
         lit = render.picture(read.env, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
-    for note in layout_notes(read.env, scene.layout):
+    for note in notes:
         console.print(note)
     return 0
 

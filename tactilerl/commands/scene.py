@@ -81,8 +81,11 @@ def layout_notes(name: str, layout: str) -> list[str]:
 
     They name places where it wants taxels and the hand has no surface, and its taxels that lie beyond
     theirs.
+
+    Raise ValueError where it names places that the hand lacks and does not say that it may.
     """
     wanted, hand = layouts.load(layout), hands.get(name)
+    layouts.require_places(wanted, hand)
     placed = wanted.place(hand)
     places = {
         "no taxels at {}, which " + name + " does not have": layouts.left_out(

@@ -54,6 +54,80 @@ def test_a_hand_like_ours():
     assert about["closed"]["th_turn"] == about["opened"]["th_turn"]  # it stays where the thumb opposes
 
 
+def turned_about(model, old, new, more=""):
+    assert old in model
+    return model.replace(old, new, 1).replace("</mujoco>", f"{more}</mujoco>")
+
+
+WRISTS = "".join(
+    f'<body name="w{k}"><joint name="w{k}" range="-1 1"/><geom size="0.01"/>' for k in range(3)
+)
+BOX = '<geom type="box"\nsize="0.045 0.04 0.012"/>'
+HALVES = f'<body name="half">{BOX}{FINGER.format(n="lf", y=0.05, tip=TIP)}<body name="hand">{BOX}'
+TWO_PARTS = turned_about(PERSON, f'<body name="hand">{BOX}', WRISTS + HALVES).replace(
+    "</worldbody>", "</body>" * 4 + "</worldbody>"
+)
+EXCLUDED = '<contact><exclude body1="hand" body2="ff_1"/></contact>'
+FIXED = turned_about(
+    PERSON, '<body name="hand">', f'<body name="base">{BOX}<body name="hand">', EXCLUDED
+)
+FIXED = FIXED.replace("</worldbody>", "</body></worldbody>")
+OTHERS = PERSON.replace("mf_", "medium_"), PERSON.replace("rf_", "\U0001f590_")
+
+
+@pytest.mark.parametrize(
+    ("model", "palm", "ring"),
+    [(TWO_PARTS, "hand", "rf_1"), (FIXED, "hand", "rf_1"), (OTHERS[0], "hand", "rf_1"),
+     (OTHERS[1], "hand", "\U0001f590_1")],
+)  # fmt: skip
+def test_digits_keep_their_names(model, palm, ring):
+    """Whatever the palm is made of, and however one of them is called."""
+    about, _ = guessed(model)
+    assert about["palm"] == palm
+    assert {"index", "middle", "ring", "thumb"} <= about["digits"].keys()
+    assert about["digits"]["ring"]["links"][0] == ring
+    assert about["palmar"] == [0, 0, -1]
+    assert about["fingers"] == [1, 0, 0]
+    assert ("little" in about["digits"]) == (model is TWO_PARTS)
+
+
+def test_digits_without_names_are_counted_from_the_thumb():
+    model = PERSON
+    for number, name in enumerate(("rf", "ff", "mf", "th")):
+        model = model.replace(f"{name}_", f"f{number}_")
+    model = model.replace('pos="-0.03 0 -0.02"', 'pos="-0.03 -0.03 -0.02"')
+    links = {name: digit["links"][0] for name, digit in guessed(model)[0]["digits"].items()}
+    assert links == {"index": "f1_1", "middle": "f2_1", "ring": "f0_1", "thumb": "f3_1"}
+
+
+def test_fingers_that_close_on_a_thumb_across_a_broad_palm():
+    finger = """<body name="{n}_1" pos="{x} {y} -0.02" euler="0 1.5708 0"><joint name="{n}_a"
+    axis="0 {s} 0" range="-0.2 1.5"/><geom type="capsule" size="0.007" fromto="0 0 0 0.05 0 0"/>
+    <body name="{n}_2" pos="0.05 0 0"><joint name="{n}_b" axis="0 {s} 0" range="0 1.5"/>{tip}</body>
+    </body>"""
+    digits = [
+        ("thumb", -0.07, 0, -1),
+        ("index", 0.07, -0.02, 1),
+        ("middle", 0.07, 0, 1),
+        ("ring", 0.07, 0.02, 1),
+    ]
+    texts = (finger.format(n=n, x=x, y=y, s=s, tip=TIP) for n, x, y, s in digits)
+    palm = '<geom type="box" size="0.085 0.045 0.015"/>'
+    about, _ = guessed(MODEL.replace(FINGERS, "".join(texts)).replace(PALM, palm))
+    assert about["palmar"] == [0, 0, -1]
+    assert about["fingers"] == [1, 0, 0]
+
+
+def test_of_two_hands_the_first_is_taken_with_a_note():
+    other = turned_about(PERSON, "hand", "other")[
+        len('<mujoco><compiler angle="radian"/><worldbody>') :
+    ]
+    other = other.replace('name="', 'name="b').replace("</worldbody></mujoco>", "")
+    about, (note, _) = guessed(PERSON.replace("</worldbody>", f"{other}</worldbody>"))
+    assert about["palm"] == about["root"] == "hand"
+    assert note.startswith("palm: found 2 (hand, bother), took the first")
+
+
 def test_what_is_left_out_by_itself_stays_out_beside_what_is_asked_for():
     knob = '<body name="knob"><geom size="0.004" pos="0 0 0.03"/></body>'
     servo = '<actuator><motor name="m" joint="l_a"/></actuator></mujoco>'
@@ -143,6 +217,16 @@ def test_from_model_to_training(monkeypatch, capsys):
     flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
     flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]
     assert main(["train", "--algo", "ppo", "--env", "mine.toml", *flags]) == 0
+
+
+def test_a_guess_that_is_refused_is_printed(monkeypatch, capsys):
+    def refuse(name):
+        raise ValueError("palmar: found a guess that is wrong")
+
+    monkeypatch.setattr(hands, "get", refuse)
+    Path("hand.xml").write_text(PERSON)
+    fails_with(capsys, ["hand", "hand.xml", "--out", "mine.toml"], "palmar: found a guess")
+    assert tomllib.loads(Path("mine.toml").read_text())["palmar"] == [0, 0, -1]
 
 
 def test_what_a_model_does_not_say_is_asked_for(capsys):

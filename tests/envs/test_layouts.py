@@ -1,5 +1,6 @@
 """Layouts: the paper's counts, the geometry of the grids, files and their errors."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,27 @@ def test_what_a_hand_has_no_place_for_is_named():
     assert layouts.left_out(layouts.parse({"patch": [patch]}, Path("palm.toml")), HAND) == [
         "thumb.palm"
     ]
+
+
+def test_a_layout_that_names_what_a_hand_lacks_is_refused_unless_it_may():
+    hand, patch = hands.get("allegro"), {"offsets_mm": [[0, 0]], "radius_mm": 2}
+    tips = {"digits": ["index", "little"], "segments": ["distal"], **patch}
+    table = {"patch": [tips, {"digits": ["thumb", "ring"], "segments": ["palm"], **patch}]}
+    layout = layouts.parse(table, Path("six.toml"))
+    found = r"2 of 4 placed: little.distal, thumb.palm are not on this hand \(its palm is index.palm, "
+    with pytest.raises(ValueError, match=found):
+        layouts.require_places(layout, hand)
+    asked = layouts.parse({"partial": True, **table}, Path("six.toml"))
+    layouts.require_places(asked, hand)
+    assert layouts.parse(tomllib.loads(asked.toml()), Path("six.toml")) == asked
+    palm = layouts.parse(
+        {"patch": [{"digits": ["palm"], "segments": ["palm"], **patch}]}, Path("palm.toml")
+    )
+    for known in hands.HANDS:  # whichever fingers its parts belong to
+        layouts.require_places(palm, hands.get(known))
+        assert {
+            p.segment for p in hands.get(known).surfaces if palm.patches[0].is_on(p.digit, p.segment)
+        } == {"palm"}
 
 
 def test_taxels_beyond_their_segment_are_named(hand):
