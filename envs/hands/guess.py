@@ -117,7 +117,8 @@ class Guess:
             sum(len(list(child.find_all("joint"))) for child in body.bodies)
             for body in (palm, link)
         )
-        if on_palm == on_link or on_link >= 2 * on_palm:  # or another hand is on it
+        has_other = on_link >= 2 * on_palm and len(list(palm.bodies)) > 1
+        if on_palm == on_link or has_other:  # another hand on the same link
             link, on_link = palm, on_palm
         if len(list(spec.joints)) - on_link > WRIST:
             self.keys["root"] = link.name
@@ -139,12 +140,11 @@ class Guess:
                 "palm: found no body from which two digits branch; name it with --palm"
             )
         parents = [branches[link] for link in branches if rank(link) == best]
-        palms = [
-            name
-            for names in parents
-            for name in dict.fromkeys(names)
-            if names.count(name) == max(map(names.count, names))
-        ]
+        palms = [max(names, key=names.count) for names in parents]
+        for names, first in zip(parents, palms.copy(), strict=True):
+            n_digits = max(2, names.count(first))
+            others = [name for name in dict.fromkeys(names) if name != first]
+            palms += [name for name in others if names.count(name) == n_digits]
         if len(palms) > 1:
             self.notes.append(
                 f"palm: found {len(palms)} ({', '.join(palms)}), took the first; --palm names another"
