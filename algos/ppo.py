@@ -87,6 +87,8 @@ class PPOConfig:
     exploration: Literal["fixed", "learned"] = "fixed"
     """Variance of the policy. fixed: --action-variance; learned: one per action dimension, starting
     there."""
+    std_lr: Positive32 | None = None
+    """Learning rate of a learned variance (Adam); default: the actor's."""
     orthogonal_init: bool = False
     """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
     uniform in ±1/sqrt(inputs)."""
@@ -229,7 +231,7 @@ class PPO(Learner):
     """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    saved = (*policy_parts, "critic", "actor_adam", "critic_adam")
+    saved = (*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam")
     plain = (
         *(
             "env_steps",
@@ -255,12 +257,14 @@ class PPO(Learner):
         for network in (self.actor, self.gaussian, self.critic):
             network.to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
+        std_parameters = [*self.gaussian.parameters()]
+        self.std_adam = self.adam(std_parameters, config.std_lr or config.actor_lr)
         if config.exploration == "learned":
-            self.actor_parameters += self.gaussian.parameters()
+            self.actor_parameters += std_parameters
         self.critic_parameters = [*self.critic.parameters()]
         self.gaussian.requires_grad_(config.exploration == "learned")
         self.broadcast(self.actor, self.critic)
-        self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
+        self.actor_adam = self.adam([*self.actor.parameters()], config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.epochs, self._episodes = 0, list[Episode[Array]]()
         # Of the last epoch whose episodes differed: the actor before its update (empty before any
@@ -290,8 +294,10 @@ class PPO(Learner):
         """Play whole episodes until `steps_per_epoch` are there: the same ones on all ranks."""
         config = self.config
         if config.anneal_lr:
-            set_lr(self.actor_adam, self.progress_remaining * config.actor_lr)
-            set_lr(self.critic_adam, self.progress_remaining * config.critic_lr)
+            remaining = self.progress_remaining
+            set_lr(self.actor_adam, remaining * config.actor_lr)
+            set_lr(self.std_adam, remaining * (config.std_lr or config.actor_lr))
+            set_lr(self.critic_adam, remaining * config.critic_lr)
         job = PlayEpisode[Array](
             self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs)
         )
@@ -373,11 +379,13 @@ class PPO(Learner):
                 log_ratio, batch.advantages[mine], self.config.clip_range
             )
             self.actor_adam.zero_grad()
+            self.std_adam.zero_grad()
             loss = result.loss.sum() / len(rows)
             loss.backward()  # type: ignore[no-untyped-call]
             self.sum_gradients(self.actor_parameters)
             nn.utils.clip_grad_norm_(self.actor_parameters, self.config.max_grad_norm)
             self.actor_adam.step()
+            self.std_adam.step()
             parts = torch.stack([result.loss.detach(), result.kl, result.is_clipped])
             stats.append(parts.sum(dim=1)[None] / len(rows))
         return torch.cat(stats)
@@ -415,6 +423,7 @@ class PPO(Learner):
             "actor": self.actor,
             "gaussian": self.gaussian,
             "actor_adam": self.actor_adam,
+            "std_adam": self.std_adam,
         }
         lowest = min(returns)
         if lowest < max(returns):

@@ -222,9 +222,10 @@ class TestLearning:
             ppo.update()
             return ppo.gaussian.log_std.detach(), log.grad
 
-        learned, gradient = log_std(exploration="learned")
-        assert torch.equal(learned.sign(), -gradient.sign())  # Adam's first step is its step size
-        torch.testing.assert_close(learned.abs(), torch.full_like(learned, 3e-4))
+        for choices, lr in (({}, 3e-4), ({"std_lr": 1e-2}, 1e-2)):
+            learned, gradient = log_std(exploration="learned", **choices)
+            assert torch.equal(learned.sign(), -gradient.sign())  # Adam's first step is its step size
+            torch.testing.assert_close(learned.abs(), torch.full_like(learned, lr))
         assert not log_std()[0].any()
 
     @pytest.mark.parametrize("normalise", [False, True])
@@ -305,7 +306,7 @@ class Switch(gym.Env):
 
 class TestUndo:
     def parts(self, ppo):
-        return flat([x.state_dict() for x in (ppo.actor, ppo.gaussian, ppo.actor_adam)])
+        return flat([x.state_dict() for x in (ppo.actor, ppo.gaussian, ppo.actor_adam, ppo.std_adam)])
 
     def test_epochs_of_nothing_but_failures_teach_the_critic_alone_and_are_undone(self):
         env = Switch()
