@@ -39,7 +39,7 @@ BEYOND: dict[str, dict[str, Any]] = {
             STEADY_PPO,
             steps_per_epoch=500,
             action_variance=0.2,
-            std_lr=3e-3,
+            std_lr=1e-3,
             normalise_rewards=True,
             taxel_scale="block",
             undo_silent=True,
