@@ -19,7 +19,7 @@ from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.learners import scaling
 from benchmarks.peers import env, solve, updates
-from benchmarks.physics import hands, hard_cases, hold_verdict, speed_vs_error
+from benchmarks.physics import forces, hands, hard_cases, hold_verdict, speed_vs_error
 from benchmarks.studies import gates, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -44,6 +44,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),
     "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
+    "forces": _of("forces", forces.show),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     **{
         f"physics {pair}": _settings(pair)

@@ -80,13 +80,17 @@ class Contacts(NamedTuple):
     """(k,) int, of the state's ``links``."""
     forces: Array
     """(k,) normal force, above 0, N."""
+    normals: Array
+    """(k, 3) unit, from the hand into the object."""
 
 
 def _nothing() -> Array:
     return np.zeros(0)
 
 
-NO_CONTACTS = Contacts(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0))
+NO_CONTACTS = Contacts(
+    np.zeros((0, 3)), np.zeros(0, int), np.zeros(0), np.zeros((0, 3))
+)
 
 
 @dataclass(frozen=True)

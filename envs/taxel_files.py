@@ -167,24 +167,7 @@ def _read_csv(text: str) -> Tables:
         yield {**link, **place, "name": (row.get("name") or "").strip()}
 
 
-def _write_csv(points: Sequence[Point]) -> bytes:
-    file = io.StringIO(newline="")
-    writer = csv.writer(file)
-    writer.writerow((*COLUMNS, "name"))
-    for p in points:
-        writer.writerow((p.link, *p.position, *p.normal, p.radius, p.name))
-    return file.getvalue().encode()
-
-
-def _write_toml(points: Sequence[Point]) -> bytes:
-    return "".join("\n".join([*p.toml(), "", ""]) for p in points).encode()
-
-
 READERS: dict[str, Callable[[str], Tables]] = {
     ".json": _read_genesis,
     ".csv": _read_csv,
-}
-WRITERS: dict[str, Callable[[Sequence[Point]], bytes]] = {
-    ".toml": _write_toml,
-    ".csv": _write_csv,
 }

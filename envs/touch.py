@@ -9,13 +9,13 @@ Ground and self-contact cannot fire a taxel, and the rule is the same in every s
 Rule "contact" (the paper's) depends on the simulator, whose own sensors feel it.
 
 Rule "force", and a threshold in newtons: a taxel that is on by rule "skin" reads what a sensor that
-stands a little proud of the skin would carry if it were the only one. The object presses on a link with
-the sum F of its contacts' forces, at their centre of pressure. To rest on a sensor at the distance d
-from there it tips about the far rim of the contact, at the distance b on the other side; by the lever
-the sensor carries F b / (b + d). Skin that gives way by `SKIN` makes a contact point a patch of the
-radius `PATCH`, which widens the rim; d counts from the sensor's edge. No reading depends on another
-taxel, so those of several do not add up to F. Against MuJoCo's touch sensors on such sensors, one at a
-time: docs/concepts/touch.md.
+stands a little proud of the skin would carry if it were the only one. The object presses on the hand
+with the sum F of its contacts' forces along the sensor's normal, at their centre of pressure. To
+rest on a sensor at the distance d from there it tips about the far rim of the contacts, at the
+distance b on the other side; by the lever the sensor carries F b / (b + d). Skin that gives way by
+`SKIN` makes a contact point a patch of the radius `PATCH`, which widens the rim; d counts from the
+sensor's edge. No reading depends on another taxel, so those of several do not add up to F. Against
+MuJoCo's touch sensors on such sensors, one at a time: docs/concepts/touch.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 from .hands import Hand, Surface
 from .layouts import Taxels
 from .simulators import Sensor
-from .state import Array, State, places
+from .state import Array, State
 
 if TYPE_CHECKING:
     from .hands.geometry import Geom
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
 SLACK = 5e-5  # m, by how much the distance of a bone may be taken too large
 PATCH = 3e-3  # m, radius of a contact: (2 R SKIN)^0.5 on a finger of R = 9 mm
+TINY = 1e-9  # N and m
 RELEASE = 0.8  # of its threshold: the force below which a taxel that fires stops
 
 
@@ -252,21 +253,19 @@ class ForceRule(SkinTouch):
         is_on, forces = super().read(state), np.zeros(len(taxels))
         if not (is_on.any() and len(contacts.forces)):
             return is_on, forces
-        centres = self._centres.world(state)
-        for number, link in enumerate(places(state.links, taxels.links)):
-            pressing, carried = contacts.links == link, taxels.link_index == number
-            total = contacts.forces[pressing].sum()
-            if not total:
-                continue
-            points = contacts.points[pressing]
-            middle = contacts.forces[pressing] @ points / total
-            offsets = centres[carried] - middle
-            distances = np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
-            ways = offsets / distances[:, None]
-            rims = PATCH + np.maximum(-ways @ (points - middle).T, 0.0).max(axis=1)
-            arms = np.maximum(distances - taxels.radii[carried], 0.0)
-            forces[carried] = total * rims / (rims + arms)
-        return is_on, forces
+        _, rotations = state.poses(taxels.links)
+        normals = rotations[taxels.link_index] @ taxels.normals[:, :, None]
+        along = np.maximum(normals[:, :, 0] @ contacts.normals.T, 0.0)
+        pressing = along * contacts.forces  # (n, k), N along the normals of taxels
+        totals = pressing.sum(axis=1)
+        middles = pressing @ contacts.points / np.maximum(totals, TINY)[:, None]
+        offsets = self._centres.world(state) - middles
+        distances = np.linalg.norm(offsets, axis=1)
+        ways = offsets / np.maximum(distances, TINY)[:, None]
+        beyond = np.einsum("ni,nki->nk", ways, middles[:, None] - contacts.points)
+        rims = PATCH + np.maximum(beyond * (along > 0), 0.0).max(axis=1)
+        arms = np.maximum(distances - taxels.radii, 0.0)
+        return is_on, totals * rims / (rims + arms)
 
 
 class ThresholdTouch(ForceRule):

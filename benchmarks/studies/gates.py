@@ -21,6 +21,22 @@ from benchmarks.command import count, earlier, interval, markdown, parser, write
 HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
 LAYOUTS = tuple("123456")
 LAYOUT_SCENES = ("handover", "handover_fingers")
+SIX = """
+description = "six force-sensing resistors of 8 mm"
+
+[[patch]]
+digits = ["index", "middle", "ring", "little"]
+segments = ["palm"]
+offsets_mm = [[0, 0]]
+radius_mm = 4
+
+[[patch]]
+digits = ["index", "ring"]
+segments = ["proximal"]
+offsets_mm = [[0, 0]]
+radius_mm = 4
+"""
+FORCES, THRESHOLDS = (0.32, 0.64, 1.28), (0.0, 0.1, 0.3, 0.6)  # N
 QUICK = {"hold_verdict": "settled"}  # the full hold of every scene that has one would take hours
 Row = dict[str, Any]
 
@@ -51,6 +67,10 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
             ]
             for scene in ("handover", "handover_anywhere")
         },
+        "thresholds": [
+            (f"{force:g} {threshold:g}", "handover", to_six(force, threshold))
+            for force, threshold in itertools.product(FORCES, THRESHOLDS)
+        ],
         "layouts": [
             (f"{name}, layout {layout}", name, {"layout": layout})
             for name, layout in itertools.product(LAYOUT_SCENES, LAYOUTS)
@@ -58,8 +78,41 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     }
 
 
+def to_six(force: float, threshold: float) -> dict[str, Any]:
+    """Return a handover to six sensors, by the giver's force and the sensors' threshold, N."""
+    return {"layout": SIX, "giver_force": force, "taxel_threshold": threshold}
+
+
+def show_thresholds(known: dict[str, dict[str, Row]]) -> None:
+    """Print a row for each force of the giver."""
+    rows = known.get("thresholds", {})
+    columns = [("without touch", "0", gate.BLIND)]
+    columns += [(f"{t:g} N" if t else "any touch", f"{t:g}", ("touch",)) for t in THRESHOLDS]
+    columns.append(("sighted", "0", ("sighted",)))
+
+    def cell(force: float, threshold: str, senses: tuple[str, ...]) -> str:
+        reflexes = rows[f"{force:g} {threshold}"]["reflexes"]
+        best = max((reflexes[sense] for sense in senses if sense in reflexes), key=_rate)
+        return interval(best["rate"], *best["interval"])
+
+    head = " | ".join(name for name, *_ in columns)
+    forces = [force for force in FORCES if f"{force:g} {THRESHOLDS[-1]:g}" in rows]
+    print("\n### thresholds\n")
+    markdown(
+        f"| giver's force | {head} |",
+        ((f"{force:g} N", *(cell(force, *what) for _, *what in columns)) for force in forces),
+    )
+
+
+def _rate(one: Row) -> float:
+    return one["rate"]
+
+
 def show(table: str, known: dict[str, dict[str, Row]]) -> None:
     """Print a table."""
+    if table == "thresholds":
+        show_thresholds(known)
+        return
     played = known.get(table, {})
     rows = {key: played[key]["reflexes"] for key, *_ in tables()[table] if key in played}
     names = [name for name in gate.SENSES if any(name in row for row in rows.values())]
@@ -83,7 +136,8 @@ def main() -> None:
         rows = known.setdefault(table, {})
         for key, name, choices in wanted:
             if key not in rows:
-                senses = ("touch",) if table == "layouts" else tuple(gate.SENSES)
+                is_touch = table == "layouts" or (table == "thresholds" and key[-2:] != " 0")
+                senses = ("touch",) if is_touch else tuple(gate.SENSES)
                 rows[key] = examine(name, options.starts, options.search, senses, **choices)
                 write(options.out, known)
         show(table, known)

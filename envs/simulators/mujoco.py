@@ -391,7 +391,7 @@ class MujocoSimulator(Simulator):
 
     def _contacts(self) -> Contacts:
         """Return the contacts of links with the object that carry force."""
-        indices, links, forces = [], [], []
+        indices, links, forces, ways = [], [], [], []
         force, held = np.zeros(6), self._object_geom
         for index, pair in enumerate(self.data.contact.geom.tolist()):
             link = self._link_of_geom[pair[0] if pair[1] == held else pair[1]]
@@ -401,8 +401,12 @@ class MujocoSimulator(Simulator):
                     indices.append(index)
                     links.append(link)
                     forces.append(force[0])
-        points = self.data.contact.pos.reshape(-1, 3)[np.array(indices, int)]
-        return Contacts(points, np.array(links, int), np.array(forces))
+                    ways.append(1.0 if pair[1] == held else -1.0)  # 1st to 2nd geom
+        which = np.array(indices, int)
+        points = self.data.contact.pos.reshape(-1, 3)[which]
+        normals = self.data.contact.frame.reshape(-1, 9)[which, :3]
+        normals = np.array(ways)[:, None] * normals
+        return Contacts(points, np.array(links, int), np.array(forces), normals)
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         size = camera.height, camera.width

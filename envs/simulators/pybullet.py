@@ -320,7 +320,8 @@ class PyBulletSimulator(Simulator):
         points = np.array([contact[5] for contact in pressing]).reshape(-1, 3)
         links = [self._link_of_index[contact[3]] for contact in pressing]
         forces = np.array([contact[9] for contact in pressing])
-        return Contacts(points, np.array(links, int), forces)
+        normals = -np.array([contact[7] for contact in pressing]).reshape(-1, 3)
+        return Contacts(points, np.array(links, int), forces, normals)
 
     def _sensed(self, points: Array, positions: Array, rotations: Array) -> Array:
         """Return bool (n,): whether a contact with the object that carries force lies in a sensor."""

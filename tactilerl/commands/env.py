@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -13,11 +12,7 @@ import gymnasium as gym
 from .. import envs
 from ..envs import scenes, tasks
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import tactile
-from ..envs.layouts import Taxels
-from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
-from ..files import replacing, require_new
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
 from .grasps import require_grasp
@@ -31,7 +26,6 @@ examples:
   tactilerl env --scene handover
   tactilerl env --env shadow --layout 4 --describe
   tactilerl env --env mpl --layout my_layout.toml --check"""
-MJCF = ".xml"
 
 
 @dataclass(frozen=True)
@@ -42,11 +36,6 @@ class EnvFlags:
     """A hand, a toy (lqr, point-reach) or a Gymnasium id."""
     describe: bool = False
     """List every entry of the observation and the action."""
-    export: Path | None = None
-    """Write the layout as points on the hand's links (.toml or .csv), or the hand with it
-    as MuJoCo's tactile sensors (.xml)."""
-    overwrite: bool = False
-    """Replace the file that --export names."""
     check: bool = False
     """Play scripted grasps and say which taxels fire while the object is held and which never do. The
     exit code is 1 where one never does."""
@@ -57,14 +46,10 @@ class EnvFlags:
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`: exit 1 where --check finds a taxel that never fires."""
     read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
-    if read.export is not None:
-        require_new(read.export, read.overwrite)
     with input_errors():
         made = GraspEnv(read.env, scene) if scene else envs.make(read.env)
         with closing(made):
             described = _described(read.env, made, scene)
-        if read.export is not None:
-            _export(read.export, made.unwrapped)
         check = None
         if read.check:
             check = _checked(read.env, scene)
@@ -143,21 +128,3 @@ def _short(space: gym.Space[Any]) -> str:
     if "[" in whole or "inf" in whole:
         return f"{type(space).__name__}{space.shape}"
     return whole
-
-
-def _export(path: Path, env: Any) -> None:
-    """Write taxels as points on links, or as sensors of the hand's model, as the name says."""
-    placed: Taxels | None = getattr(env, "taxels", None)
-    if placed is None:
-        found = "an environment without taxels"
-        raise InputError(f"--export: found {found}, allowed those of hands")
-    with input_errors("--export"):
-        if path.suffix == MJCF:
-            content = tactile.xml(env.hand, placed)
-        elif path.suffix in WRITERS:
-            content = WRITERS[path.suffix](placed.points)
-        else:
-            allowed = f"names that end in {', '.join((*WRITERS, MJCF))}"
-            raise InputError(f"--export: found {path.name!r}, allowed {allowed}")
-    with replacing(path) as file:
-        file.write(content)

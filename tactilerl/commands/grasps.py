@@ -58,10 +58,6 @@ def found_grasp(
         beside.print(
             f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits"
         )
-        if found.shift is not None:
-            beside.print(
-                f"touched {1e3 * found.shift:.0f} mm beyond the middle of the last links"
-            )
         return found
     beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
     beside.print("look at [opened] and [closed], or at the force of the servos")

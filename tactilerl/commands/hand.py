@@ -67,8 +67,6 @@ def main(args: list[str]) -> int:
         found = found_grasp(str(read.out), scene, read.overwrite)
     if found is not None:
         text = f"\n{found.toml()}\n"
-        if found.shift is not None:
-            text = f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n{text}"
         _save(read.out, read.out.read_bytes() + text.encode())
     pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
     what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")

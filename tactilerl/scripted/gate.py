@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from .. import statistics
-from ..envs import vector
+from ..envs import tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.observations import TaxelFaults
 from . import reflexes
@@ -34,6 +32,9 @@ SENSES = {
 }
 
 
+BLIND = "timed", "joints", "active", "sight"
+
+
 @dataclasses.dataclass(frozen=True)
 class Found:
     """The best reflex of a sense and how often it succeeds."""
@@ -47,6 +48,14 @@ class Found:
     episodes: int
 
 
+def useful_senses(scene: GraspConfig) -> list[str]:
+    """Return the senses that a scene has a use for."""
+    is_seen = scene.object_seen not in ("hidden", "exact")  # exact: as the sighted hand
+    is_handed_over = tasks.TASKS[scene.task].giver is not None
+    of_some = {"sight": is_seen, "active": is_handed_over}
+    return [name for name in SENSES if of_some.get(name, True)]
+
+
 def examine(
     hand: str,
     scene: GraspConfig,
@@ -57,67 +66,81 @@ def examine(
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
 ) -> list[Found]:
-    """Find the best reflex of each sense in a scene, `starts` starts each.
-
-    Each sense has as many candidates, and each candidate the same `search` starts. `tick` is called
-    after every candidate.
-    """
-    found, first = [], 2 * SEARCH * seed
-    for name in senses:
+    """Find the best reflex of each of these senses in a scene, `starts` starts each. Each has as
+    many candidates, and each candidate the same `search` starts. `tick` is called after every one of
+    the `n_played` episodes of a sense."""
+    results, first = [], 2 * SEARCH * seed
+    for name in useful_senses(scene):
+        if name not in senses:
+            continue
         sense, _ = SENSES[name]
-        if name == "sight" and scene.object_seen in ("hidden", "exact"):
-            continue  # nothing to go by, or what "sighted" is
-        own = (
-            scene
-            if sense == "touch"
-            else dataclasses.replace(scene, touch="absent", **NO_FAULTS)
-        )
+        sensed = scene
+        if sense != "touch":
+            sensed = dataclasses.replace(scene, touch="absent", **NO_FAULTS)
         if name == "sighted":
             exact: Any = {
                 "object_seen": "exact",
                 "sight_noise": None,
                 "sight_noise_kind": "white",
             }
-            own = dataclasses.replace(own, **exact)
-        make = partial(GraspEnv, hand, own)
-        with closing(make()) as example:
-            candidates = reflexes.candidates(example, sense)
-        if not candidates:
-            continue
-        with closing(vector.start(make, workers)) as played_in:
-            rates = []
-            for reflex in candidates:
-                rates.append(_play(played_in, reflex, first + SEARCH, search).mean())
-                tick()
-            best = candidates[int(np.argmax(rates))]
-            n_won = int(_play(played_in, best, first, starts).sum())
-            interval = statistics.wilson_interval(n_won, starts)
-            found.append(Found(name, best, n_won / starts, interval, starts))
-    return found
+            sensed = dataclasses.replace(sensed, **exact)
+        with closing(
+            vector.start(partial(GraspEnv, hand, sensed), workers)
+        ) as played_in:
+
+            def won(
+                reflex: reflexes.Reflex, starts: range, players: Any = played_in
+            ) -> int:
+                """Return how many starts a reflex wins."""
+                n_won = 0
+                for is_won in players.play(reflex.play, starts):
+                    n_won += is_won
+                    tick()
+                return n_won
+
+            other = range(first + SEARCH, first + SEARCH + search)
+            env: Any = played_in.env.unwrapped
+            candidates = reflexes.candidates(env, sense)
+            best = max(candidates, key=lambda reflex: won(reflex, other))
+            n_won = won(best, range(first, first + starts))
+        interval = statistics.wilson_interval(n_won, starts)
+        results.append(Found(name, best, n_won / starts, interval, starts))
+    return results
 
 
-def _play(
-    workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int
-) -> np.ndarray:
-    """Tell which starts succeed, bool (n,)."""
-    return np.array(list(workers.play(reflex.play, range(first, first + n))))
+def n_played(starts: int, search: int) -> int:
+    """Return how many episodes are played for a sense."""
+    return reflexes.CANDIDATES * search + starts
 
 
-def verdict(found: list[Found]) -> str:
+def without_touch(results: list[Found]) -> Found:
+    """Return the best hand that neither feels nor sees the object's exact place."""
+    return max((one for one in results if one.name in BLIND), key=lambda one: one.rate)
+
+
+def verdict(results: list[Found]) -> str:
     """Return one sentence about the scene."""
-    rates = {each.name: each.rate for each in found}
-    best = max(
-        (name for name in rates if name not in ("touch", "sighted")),
-        key=rates.__getitem__,
-    )
-    without, room = rates[best], rates["sighted"] - rates[best]
+    rates, blind = {one.name: one.rate for one in results}, without_touch(results)
+    room = rates["sighted"] - blind.rate
     if room < TELLS:
         return (
-            f"This scene cannot tell: the best scripted hand without touch ({best}) succeeds in "
-            f"{without:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
+            f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds in "
+            f"{blind.rate:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
         )
-    won = min(max(0.0, rates["touch"] - without), room)
+    gained = min(max(0.0, rates["touch"] - blind.rate), room)
     return (
-        f"Touch closes {won:.2f} of the {room:.2f} gap between the best scripted hand without touch "
-        f"({best}, {without:.2f}) and the sighted one ({rates['sighted']:.2f})."
+        f"Touch closes {gained:.2f} of the {room:.2f} gap between the best scripted hand without touch "
+        f"({blind.name}, {blind.rate:.2f}) and the sighted one ({rates['sighted']:.2f})."
     )
+
+
+def where_it_stops(rates: Mapping[float, float], blind: float) -> str:
+    """Return one sentence: at which threshold, N, does touch stop paying? `rates` are the successes of
+    hands with touch by threshold, `blind` that of the best hand without."""
+    for threshold, rate in sorted(rates.items()):
+        if rate - blind < TELLS:
+            return (
+                f"Touch stops paying at a threshold of {threshold:g} N: touch succeeds in "
+                f"{rate:.2f} of the starts, the best without in {blind:.2f}."
+            )
+    return f"Touch pays at every one of these thresholds, up to {max(rates):g} N."

@@ -14,7 +14,7 @@ from ..envs import scripted, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import SLIDES, Hand, ScriptedGrasp
 from ..envs.simulators import SimulationError
-from ..envs.state import Array, State
+from ..envs.state import Array
 
 SEED = 30_000  # apart from the starts of the check of taxels and from those of training
 SECONDS = 1.0  # of a hold
@@ -36,7 +36,7 @@ NARROWEST = 2e-3, 2e-3, 2e-3, 0.03  # m and share: what the draws differ by at l
 
 
 class Found(NamedTuple):
-    """A grasp, and how it went."""
+    """A grasp, and how good it was."""
 
     grasp: ScriptedGrasp
     closing: float
@@ -45,10 +45,6 @@ class Found(NamedTuple):
     """Share of the steps of its holds in which the object was up."""
     digits: float
     """Digits that touched the object, on average."""
-    shift: float | None
-    """Distance beyond the middle of the last links, towards the tips, at which they touched the object,
-    m; None where they did not.
-    """
 
     def toml(self) -> str:
         """Return the grasp as text for the hand's file."""
@@ -84,10 +80,10 @@ def find(
     with closing(vector.start(make, workers)) as played_in:
 
         def tested(figures: Array, starts: range) -> Array:
-            """Return how a candidate went on the mean; NaN where no contact was seen."""
+            """Return how good a candidate is on the mean, as `_hold` says."""
             tick()
             held = played_in.play(partial(_hold, _grasp(built, size, figures)), starts)
-            return np.asarray(np.ma.masked_invalid(list(held)).mean(0).filled(np.nan))
+            return np.asarray(np.mean(list(held), axis=0))
 
         for attempt, ground in enumerate(GROUNDS):
             lowest = np.array([-BESIDE, -BESIDE, min(ground - tip, 0.0), CLOSINGS[0]])
@@ -96,19 +92,18 @@ def find(
             best = max(last, best, key=_goodness)
             if last[0][1] >= GOOD:
                 break
-    (_, share, digits, shift), figures = best
+    (_, share, digits), figures = best
     figures = np.round(figures, 4)
     return Found(
         grasp=_grasp(built, size, figures),
         closing=float(figures[-1]),
         share=float(share),
         digits=float(digits),
-        shift=None if np.isnan(shift) else float(shift),
     )
 
 
 Candidate = tuple[Array, Array]
-"""Result of a candidate, (4,) as `_hold` says, and its figures (4,)."""
+"""How good a candidate is, (3,) as `_hold` says, and its figures (4,)."""
 
 
 def _goodness(candidate: Candidate) -> float:
@@ -121,7 +116,7 @@ def _search(
     highest: Array,
     rng: np.random.Generator,
 ) -> Candidate:
-    """Return how the best candidate went, and what it is."""
+    """Return the best candidate."""
     tried: list[Candidate] = []
     for n in ROUNDS:
         if not tried:
@@ -156,11 +151,8 @@ def _hold(
     number: int,
     is_wanted: vector.IsWanted,
 ) -> Array:
-    """Hold the object from the start of a number, and return how that went, (4,).
-
-    The entries are how good it is, the share of the steps in which the object was up, the number of
-    digits that touched it, and how far beyond the middle of their last links they did, m.
-    """
+    """Hold the object from the start of a number; return (3,) how good that is, the share of the steps
+    in which the object was up, and how many digits touched it."""
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])
     start = scripted.perturbed_start(rng, len(base.hand.joints))
@@ -173,26 +165,18 @@ def _hold(
         ups, last = [False], None
     share = float(np.mean(ups))
     if last is None:
-        return np.array([share, share, 0.0, np.nan])
-    digits, rows = _touched(base.hand, last)
+        return np.array([share, share, 0.0])
+    links = {last.links[index] for index in last.contacts.links}
+    touching = {
+        surface.digit
+        for surface in base.hand.surfaces
+        if surface.link in links and surface.segment != "palm"
+    }
     middle = _middle(base.hand, last.fingertips)
     beside = float(np.linalg.norm(last.object_position - middle))
-    touching = TOUCHING * len(digits) / len(base.hand.digits)
-    good = share * (1 + touching - CENTRED * min(1, beside / UP))
-    return np.array([good, share, len(digits), np.mean(rows) if rows else np.nan])
-
-
-def _touched(hand: Hand, state: State) -> tuple[set[str], list[float]]:
-    """Return the digits that touch the object, and how far beyond the middle of last links, m."""
-    surfaces = {at.link: at for at in hand.surfaces if at.segment != "palm"}
-    digits, rows = set[str](), []
-    for point, index in zip(state.contacts.points, state.contacts.links, strict=True):
-        if surface := surfaces.get(state.links[index]):
-            digits.add(surface.digit)
-            if surface.segment == "distal":
-                turn, place = state.link_rotations[index], state.link_positions[index]
-                rows.append(surface.offset(turn.T @ (point - place))[0])
-    return digits, rows
+    gained = TOUCHING * len(touching) / len(base.hand.digits)
+    good = share * (1 + gained - CENTRED * min(1, beside / UP))
+    return np.array([good, share, len(touching)])
 
 
 def _middle(hand: Hand, tips: Array) -> Array:

@@ -33,6 +33,7 @@ SENSES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
     "sight": (np.linspace(-0.053, 0.003, 15).tolist(), (0, 2, 5)),
 }
 """Thresholds that a search may choose from, of a handover and of a lift; a lift has no active hand."""
+CANDIDATES = 15  # of every sense
 CLOSINGS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of a scripted grasp
 
 

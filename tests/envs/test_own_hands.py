@@ -153,17 +153,6 @@ class TestHand:
 class TestTaxelFiles:
     taxels = layouts.load("1").place(hands.get(GRIPPER))
 
-    @pytest.mark.parametrize("suffix", [".csv", ".toml"])
-    def test_what_is_exported_is_read_again(self, tmp_path, suffix):
-        path = str(tmp_path / f"points{suffix}")
-        assert main(["env", "--env", GRIPPER, "--layout", "1", "--export", path]) == 0
-        points = layouts.load(path).place(hands.get(GRIPPER)).points
-        found, wanted = (
-            sorted((p.link, *np.round([*p.position, *p.normal, p.radius], 9) + 0.0) for p in each)
-            for each in (points, self.taxels.points)
-        )
-        assert found == wanted
-
     def test_a_genesis_file_as_it_is_published(self, tmp_path):
         """Entries a link, probes in rows of a grid, which those of radius 0 fill up."""
         probe = {"radius": 0.004, "pos": [-0.006, 0.001, -0.02], "normal": [-0.8, 0.1, 0.6]}
@@ -218,16 +207,13 @@ class TestTaxelFiles:
         path.write_text(layout.toml())
         assert layouts.load(str(path)) == layout
 
-    def test_only_what_is_a_format_is_exported(self, tmp_path, capsys):
-        stl = ["env", "--env", "shadow", "--export", tmp_path / "a.stl"]
-        fails_with(capsys, stl, "allowed names that end in")
-
 
 class TestCommands:
     def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys, monkeypatch):
         path, run = own(), str(tmp_path / "run")
-        points = tmp_path / "points.csv"
-        assert main(["env", "--env", path, "--layout", "5", "--export", str(points)]) == 0
+        points = tmp_path / "points.toml"
+        placed = layouts.load("5").place(hands.get(path)).points
+        points.write_text(layouts.Layout("points", "", (), placed).toml())
         flags = ["--env", path, "--layout", str(points), "--total-timesteps", "40"]
         flags += ["--steps-per-epoch", "20", "--max-episode-steps", "10", "--hold-seconds", "0.1"]
         assert main(["train", "--algo", "ppo", *flags, "--out", run]) == 0

@@ -30,7 +30,7 @@ PINNED = [
     ("ad2e047a649db87f", "mpl", "mujoco", REACH | {"object_size": 0.06, "reward": "dense"}),
     ("2132484c307f8b00", "shadow", "mujoco", {**CONTACT, "touch": "on", "layout": "6"}),
     ("af03d54bbf055119", "mpl", "pybullet", {"object": "sphere", **CONTACT, "layout": "1"}),
-    ("dbbe668c6f70519a", "shadow", "mujoco", FORCES),
+    ("9833c33ee295ddc4", "shadow", "mujoco", FORCES),
     ("c0e75817eab66840", "mpl", "mujoco", NOISY),
 ]
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, objects, touch
-from tactilerl.envs.hands import tactile
 from tactilerl.envs.state import State
+
+import tactile_sensors
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 BALL, DEEP = 0.03, 1e-4  # m: radius, and how far it is in the hand
@@ -17,7 +17,7 @@ BALL, DEEP = 0.03, 1e-4  # m: radius, and how far it is in the hand
 def pressed(hand, taxels, kind, half, gap=-DEEP):
     """For each taxel, in turn in the middle of where an object presses, or is a gap away (m): what the
     sensors say, and what the rule says."""
-    spec = tactile.spec(hand, taxels)
+    spec = tactile_sensors.spec(hand, taxels)
     body = spec.worldbody.add_body(name="thing", mocap=True)
     geom = mujoco.mjtGeom.mjGEOM_SPHERE if kind == "sphere" else mujoco.mjtGeom.mjGEOM_BOX
     body.add_geom(name="thing", type=geom, size=half)
@@ -42,7 +42,7 @@ def pressed(hand, taxels, kind, half, gap=-DEEP):
         felt = np.zeros(len(taxels))
         for number, name in enumerate(taxels.links):
             own = taxels.link_index == number
-            felt[own] = data.sensor(tactile.NAME + name).data[: own.sum()]
+            felt[own] = data.sensor(tactile_sensors.NAME + name).data[: own.sum()]
         state = State(shape, at, turn, taxels.links, positions, rotations)
         yield index, felt > 0, rule.read(state)
 
@@ -71,21 +71,3 @@ def test_boxes_and_hulls_feel_what_is_within_their_skin(gap, on):
     taxels = layouts.load("5").place(hand)
     for index, _, rule in pressed(hand, taxels, "box", (0.02,) * 3, gap):
         assert rule[index] == on, taxels.names[index]
-
-
-@pytest.mark.parametrize("layout", ["1", "4", "5"])
-def test_an_exported_hand_is_read_by_mujoco(layout, in_tmp):
-    """Grids and single taxels, from the file."""
-    assert main(["env", "--env", GRIPPER, "--layout", layout, "--export", "hand.xml"]) == 0
-    model = mujoco.MjModel.from_xml_path("hand.xml")
-    taxels = layouts.load(layout).place(hands.get(GRIPPER))
-    for number, link in enumerate(taxels.links):
-        own, geom = taxels.link_index == number, model.geom(tactile.NAME + link)
-        mesh = model.mesh(tactile.NAME + link)
-        first, turn = mesh.vertadr[0], np.zeros(9)
-        mujoco.mju_quat2Mat(turn, geom.quat)
-        corners = model.mesh_vert[first : first + own.sum()] @ turn.reshape(3, 3).T + geom.pos
-        wanted = taxels.positions + taxels.radii[:, None] * taxels.normals
-        np.testing.assert_allclose(corners, wanted[own], atol=1e-6)
-        assert not geom.contype[0]
-        assert not geom.conaffinity[0]

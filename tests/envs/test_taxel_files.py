@@ -11,11 +11,23 @@ from tactilerl.envs import hands, layouts, taxel_files
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 POINTS = layouts.load("5").place(hands.get(GRIPPER)).points
 PROBE = '[{"link_name": "a", "probes": [{"pos": [%s, 0, 0], "normal": [1, 0, 0], "radius": %s}]}]'
-WHOLE = {".csv": taxel_files.WRITERS[".csv"](POINTS[:1]), ".json": (PROBE % (0, 0.002)).encode()}
+
+
+def csv_of(points, heading="link, x, y, z, nx, ny, nz, radius, name"):
+    """Points as people write them, with a blank after every comma; without the column of links where
+    the heading has none."""
+    rows = ((p.link, *p.position, *p.normal, p.radius, p.name) for p in points)
+    skipped = not heading.startswith("link")
+    lines = (", ".join(map(str, row[skipped:])) for row in rows)
+    return "\n".join([heading, *lines, ""]).encode()
+
+
+WHOLE = {".csv": csv_of(POINTS[:1]), ".json": (PROBE % (0, 0.002)).encode()}
 
 
 def test_the_same_sensor_twice_on_a_link(tmp_path):
-    (tmp_path / "pad.csv").write_bytes(taxel_files.WRITERS[".csv"](POINTS[:2]))
+    heading = "x, y, z, nx, ny, nz, radius, name"
+    (tmp_path / "pad.csv").write_bytes(csv_of(POINTS[:2], heading))
     sensor = "[[sensor]]\nfile = 'pad.csv'\nlinks = ['left_2']\nposition = [0, 0, {}]\n"
     (tmp_path / "two.toml").write_text(sensor.format(0) + sensor.format(0.01))
     names = [point.name for point in layouts.load(str(tmp_path / "two.toml")).taxels]

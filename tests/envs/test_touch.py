@@ -230,7 +230,8 @@ def pressed_on_palm(place):
     for index in range(data.ncon):
         mujoco.mj_contactForce(model, data, index, force)
         forces.append(force[0])
-    contacts = Contacts(data.contact.pos.copy(), np.zeros(data.ncon, int), np.array(forces))
+    figures = np.zeros(data.ncon, int), np.array(forces), np.tile([0.0, 0.0, 1.0], (data.ncon, 1))
+    contacts = Contacts(data.contact.pos.copy(), *figures)
     pose = data.xpos[1:2].copy(), data.xmat[1:2].reshape(1, 3, 3).copy()
     shape, turn = objects.make("box", (0.04,)), data.xmat[2].reshape(3, 3)
     now = State(shape, data.xpos[2].copy(), turn, ("palm",), *pose, contacts=contacts)

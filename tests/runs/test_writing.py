@@ -37,8 +37,6 @@ def here(made, in_tmp):
 
 # What it writes, and how; a folder's first file says whose the folder is.
 WRITERS = {
-    "x.toml": lambda name, *more: main(["env", "--export", name, *more]),
-    "x.csv": lambda name, *more: main(["env", "--export", name, *more]),
     "design/design.json": lambda name, *more: main(
         ["design", "--taxels", "1..2", "--starts", "20", "--out", "design", *more]
     ),

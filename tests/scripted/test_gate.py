@@ -34,18 +34,19 @@ def test_the_verdict_says_what_touch_can_win_of_what_there_is(timed, joints, tou
     assert all(word in said for word in words)
 
 
-@pytest.mark.pybullet
-def test_another_seed_has_other_starts(monkeypatch):
-    played = set()
+def test_another_seed_has_other_starts_and_every_episode_is_counted(monkeypatch):
+    played, ticks = [], []
 
-    def note(workers, reflex, first, n):
-        played.update(range(first, first + n))
-        return np.zeros(n)
+    def note(self, env, number, is_wanted=lambda: True):
+        played.append(number)
+        return False
 
-    monkeypatch.setattr(gate, "_play", note)
+    monkeypatch.setattr(Reflex, "play", note)
     for seed in (0, 1):
-        gate.examine("mpl", setup("mpl", task="handover"), 200, 20, seed, 1, senses=["timed"])
-    assert len(played) == 2 * 220
+        config = setup("mpl", task="handover", simulator="mujoco")
+        gate.examine("mpl", config, 20, 2, seed, 1, lambda: ticks.append(1), ["timed"])
+    assert len(ticks) == 2 * gate.n_played(20, 2) == 100
+    assert len(set(played)) == 2 * 22
 
 
 class TestReflexes:
@@ -80,19 +81,27 @@ class TestReflexes:
         assert env.task.sets_off < went < env.task.sets_off + env.task.stays
 
 
-def test_in_a_handover_touch_decides(capsys):
-    assert main(["gate", "--scene", "handover", *FEW, "--json"]) == 0
+def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_presses_with(capsys):
+    several = ["--taxel-threshold", "0", "0.4"]
+    assert main(["gate", "--scene", "handover", *several, *FEW, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     rates = {row["name"]: row["rate"] for row in said["reflexes"]}
     assert set(rates) == {"timed", "joints", "active", "touch", "sighted"}
     assert min(rates["touch"], rates["sighted"]) > 0.7
     assert max(rates["timed"], rates["joints"]) < 0.6
     assert said["verdict"].startswith("Touch closes 0.")
+    by_threshold = {row["taxel_threshold"]: row["rate"] for row in said["touch"]}
+    assert by_threshold[0.0] == rates["touch"] > 0.6 > by_threshold[0.4]
+    assert "Touch stops paying at a threshold of 0.4 N" in said["verdict"]
+
+
+def test_touch_that_pays_at_all_thresholds():
+    assert gate.where_it_stops({0.1: 0.9, 0.0: 0.9}, 0.6).endswith("up to 0.1 N.")
 
 
 def test_several_layouts():
-    found = flags.several(["--json", "--layout", "1", "3", "--seed", "1"], "--layout")
-    assert found == (["1", "3"], ["--json", "--seed", "1", "--layout", "1"])
+    values = flags.several(["--json", "--layout", "1", "3", "--seed", "1"], "--layout")
+    assert values == (["1", "3"], ["--json", "--seed", "1", "--layout", "1"])
 
 
 @pytest.mark.parametrize(

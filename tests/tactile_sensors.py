@@ -11,10 +11,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-
-from ..state import Array
-from . import model_file
-from .hand import Hand
+from tactilerl.envs.hands import Hand
+from tactilerl.envs.state import Array
 
 NAME = "taxels of "  # and the link: what mesh, geom and sensor are called
 GROUP = 5  # of geoms that are not drawn
@@ -29,15 +27,9 @@ def spec(hand: Hand, taxels: Any) -> mujoco.MjSpec:
     mesh, geom = mujoco.mjtObj.mjOBJ_MESH, mujoco.mjtObj.mjOBJ_GEOM
     for number, link in enumerate(taxels.links):
         own, name = taxels.link_index == number, NAME + link
-        corners, normals, faces = _mesh(
-            taxels.positions[own], taxels.normals[own], taxels.radii[own]
-        )
-        made = whole.add_mesh(
-            name=name, uservert=corners, usernormal=normals, userface=faces
-        )
-        made.inertia = (
-            mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        )  # open, and perhaps flat
+        corners, normals, faces = _mesh(taxels.positions[own], taxels.normals[own], taxels.radii[own])
+        made = whole.add_mesh(name=name, uservert=corners, usernormal=normals, userface=faces)
+        made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open, and perhaps flat
         whole.body(link).add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, contype=0, conaffinity=0, mass=0,
             group=GROUP,
@@ -49,25 +41,13 @@ def spec(hand: Hand, taxels: Any) -> mujoco.MjSpec:
     return whole
 
 
-def xml(hand: Hand, taxels: Any) -> bytes:
-    """The same as an MJCF file, which names the meshes where they are."""
-    whole = spec(hand, taxels)
-    model_file.compiled(whole)
-    with model_file.quiet():
-        return str(whole.to_xml()).encode()
-
-
-def _mesh(
-    places: Array, normals: Array, radii: Array
-) -> tuple[list[float], list[float], list[int]]:
+def _mesh(places: Array, normals: Array, radii: Array) -> tuple[list[float], list[float], list[int]]:
     """Vertices and normals (3 n), of taxels first, and a fan of faces, each flat. MuJoCo wants four
     vertices and an area, so what has neither gets three more, within the link."""
     corners = places + radii[:, None] * normals
     if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=1e-6) < 2:
         turn = np.linalg.svd(normals[:1])[2]  # rows: the normal, and two tangents
-        behind = places[0] - radii[0] * (
-            normals[0] + [turn[1], turn[2], -turn[1] - turn[2]]
-        )
+        behind = places[0] - radii[0] * (normals[0] + [turn[1], turn[2], -turn[1] - turn[2]])
         corners, normals = (
             np.vstack([corners, behind]),
             np.vstack([normals, *3 * [normals[:1]]]),
