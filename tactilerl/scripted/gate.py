@@ -68,7 +68,8 @@ def examine(
 ) -> list[Found]:
     """Find the best reflex of each of these senses in a scene, `starts` starts each. Each has as
     many candidates, and each candidate the same `search` starts. `tick` is called after every one of
-    the `n_played` episodes of a sense."""
+    the `n_played` episodes of a sense.
+    """
     results, first = [], 2 * SEARCH * seed
     for name in useful_senses(scene):
         if name not in senses:
@@ -136,7 +137,8 @@ def verdict(results: list[Found]) -> str:
 
 def where_it_stops(rates: Mapping[float, float], blind: float) -> str:
     """Return one sentence: at which threshold, N, does touch stop paying? `rates` are the successes of
-    hands with touch by threshold, `blind` that of the best hand without."""
+    hands with touch by threshold, `blind` that of the best hand without.
+    """
     for threshold, rate in sorted(rates.items()):
         if rate - blind < TELLS:
             return (

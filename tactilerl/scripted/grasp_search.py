@@ -152,7 +152,8 @@ def _hold(
     is_wanted: vector.IsWanted,
 ) -> Array:
     """Hold the object from the start of a number; return (3,) how good that is, the share of the steps
-    in which the object was up, and how many digits touched it."""
+    in which the object was up, and how many digits touched it.
+    """
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])
     start = scripted.perturbed_start(rng, len(base.hand.joints))
