@@ -51,7 +51,7 @@ class GateFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl gate --scene handover`"""
+    """Run `tactilerl gate --scene handover`."""
     layout_names, args = flags.several(args, "--layout")
     thresholds, args = flags.several(args, "--taxel-threshold")
     read, scene = read_scene(GateFlags, args, "tactilerl gate", ABOUT)

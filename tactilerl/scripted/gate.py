@@ -66,9 +66,10 @@ def examine(
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
 ) -> list[Found]:
-    """Find the best reflex of each of these senses in a scene, `starts` starts each. Each has as
-    many candidates, and each candidate the same `search` starts. `tick` is called after every one of
-    the `n_played` episodes of a sense.
+    """Find the best reflex of each of these senses in a scene, `starts` starts each.
+
+    Each sense has as many candidates, and each candidate the same `search` starts. `tick` is called
+    after every one of the `n_played` episodes of a sense.
     """
     results, first = [], 2 * SEARCH * seed
     for name in useful_senses(scene):
@@ -136,8 +137,9 @@ def verdict(results: list[Found]) -> str:
 
 
 def where_it_stops(rates: Mapping[float, float], blind: float) -> str:
-    """Return one sentence: at which threshold, N, does touch stop paying? `rates` are the successes of
-    hands with touch by threshold, `blind` that of the best hand without.
+    """Return one sentence: at which threshold, N, does touch stop paying?
+
+    `rates` are the successes of hands with touch by threshold, `blind` that of the best hand without.
     """
     for threshold, rate in sorted(rates.items()):
         if rate - blind < TELLS:

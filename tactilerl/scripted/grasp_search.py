@@ -103,7 +103,7 @@ def find(
 
 
 Candidate = tuple[Array, Array]
-"""How good a candidate is, (3,) as `_hold` says, and its figures (4,)."""
+"""Result of a candidate, (3,) as `_hold` says, and its figures (4,)."""
 
 
 def _goodness(candidate: Candidate) -> float:
@@ -151,8 +151,10 @@ def _hold(
     number: int,
     is_wanted: vector.IsWanted,
 ) -> Array:
-    """Hold the object from the start of a number; return (3,) how good that is, the share of the steps
-    in which the object was up, and how many digits touched it.
+    """Hold the object from the start of a number, and return how that went, (3,).
+
+    The entries are how good it is, the share of the steps in which the object was up, and the number
+    of digits that touched it.
     """
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])
