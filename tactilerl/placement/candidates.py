@@ -34,7 +34,8 @@ class DesignFlags:
     """Which taxels may be chosen, by what, and from which starts."""
 
     scene: tuple[str, ...] = ("handover_anywhere",)
-    """One or more named scenes, or scenes' .toml files, in which an object is handed over."""
+    """One or more named scenes, or scenes' .toml files, in which an object is handed over; all count
+    alike."""
     env: str = ""
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
     simulator: str = ""
@@ -60,8 +61,6 @@ class DesignFlags:
     survives: str = ""
     """Maximise success after the worst loss of any one taxel, digit or segment, or of any one group of
     a file: taxel, digit, segment, or a .toml file with a [[group]] for each."""
-    weights: tuple[Annotated[float, "(0, inf)"], ...] = ()
-    """How much each scene counts; default: all alike."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
     """How far the hand is closed while it waits; of several, each set of taxels has what works best
     for it; default: the scene's."""
@@ -106,8 +105,6 @@ class Scene:
 
     name: str
     config: GraspConfig
-    weight: float
-    """Its share of all scenes; they sum to 1."""
 
     def waiting(self, closing: float | None) -> GraspConfig:
         """Return the scene with a hand that is so far closed while it waits; None for as it is."""
@@ -355,17 +352,13 @@ def _spot(point: Point) -> tuple[str, float, float, float]:
 
 def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
     """Return the hand and its scenes; ValueError where they do not go together."""
-    weights = flags.weights or (1.0,) * len(flags.scene)
-    if len(weights) != len(flags.scene):
-        allowed = f"{len(flags.scene)}, one for each of the scenes"
-        raise ValueError(f"weights: found {len(weights)}, allowed {allowed}")
     loaded = [scenes.load(name) for name in flags.scene]
     hand = flags.env or loaded[0].env
     if not hands.is_hand(hand):
         raise ValueError(f"env: found {hand!r}, allowed: {hands.allowed()}")
     simulator = {"simulator": flags.simulator} if flags.simulator else {}
     chosen = []
-    for name, scene, weight in zip(flags.scene, loaded, weights, strict=True):
+    for name, scene in zip(flags.scene, loaded, strict=True):
         if not flags.env and scene.env != hand:
             allowed = "scenes of one hand, or --env"
             raise ValueError(f"scene: found {name} of {scene.env}, allowed {allowed}")
@@ -381,7 +374,7 @@ def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
             found = list(flags.start_closing)
             raise ValueError(f"start_closing: found {found}, allowed {allowed}")
         _require_whole(name, config)
-        chosen.append(Scene(name, config, weight / sum(weights)))
+        chosen.append(Scene(name, config))
     return hand, chosen
 
 

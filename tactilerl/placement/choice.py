@@ -11,7 +11,6 @@ import numpy as np
 from .. import statistics
 from ..envs import layouts, validation
 from ..envs.layouts import Layout
-from ..envs.state import Array
 from ..pictures import places
 from ..scripted import gate
 from . import cover
@@ -209,7 +208,7 @@ def _judged(
             judge.row("chosen", columns),
             taxels=n,
             chosen_from=picked.value,
-            chosen_worst=picked.worst,
+            chosen_worst=picked.worst if pool.flags.survives else None,
             bound=picked.bound,
         )
         if best:
@@ -232,7 +231,7 @@ def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[By
         parts = [
             record(
                 pool.env, scene.waiting(wait), pool.skin, numbers, workers, tick,
-                scene.weight, thresholds,
+                thresholds,
             )
             for scene in pool.scenes
         ]  # fmt: skip
@@ -254,7 +253,7 @@ def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
         )
         for starts in choice.values()
     ]
-    best = max(sets, key=lambda chosen: (chosen.worst or 0.0, chosen.value))
+    best = max(sets, key=lambda chosen: (chosen.worst, chosen.value))
     bounds = [chosen.bound for chosen in sets if chosen.bound is not None]
     return best._replace(bound=max(bounds) if len(bounds) == len(sets) else None)
 
@@ -265,57 +264,52 @@ class Judge:
 
     def __init__(self, choice: ByWait, test: ByWait, pool: Pool) -> None:
         self._choice, self._test, self._pool = choice, test, pool
-        self._weights = next(iter(test.values())).weights
+        self._losses = pool.losses.members
         rng, n_scenes = np.random.default_rng(0), len(pool.scenes)
-        n = len(self._weights) // n_scenes
+        n = len(next(iter(test.values()))) // n_scenes
         # Within each scene: which ones there are is not by chance.
         counts = [statistics.resample(rng, n, N_RESAMPLES) for _ in range(n_scenes)]
         self._counts = np.vstack(counts)
 
     def wait(self, taxels: Sequence[int]) -> float | None:
         """Return how far the hand is closed meanwhile; None for as the scene has it."""
-        losses = self._pool.losses.members if self._pool.flags.survives else None
-        return max(
-            self._choice,
-            key=lambda wait: round(cover.score(self._choice[wait], taxels, losses), 12),
-        )
+        losses = self._losses if self._pool.flags.survives else self._losses[:0]
+        scores = {
+            wait: round(cover.score(starts, taxels, losses), 12)
+            for wait, starts in self._choice.items()
+        }
+        return max(scores, key=scores.__getitem__)
 
     @property
     def hopeless(self) -> float:
         """Share of the starts in which the hand fails at whichever touch it closes."""
         can = [starts.succeeds.any(axis=1) for starts in self._test.values()]
-        return float(self._weights @ ~np.any(can, axis=0))
+        return float(1.0 - np.any(can, axis=0).mean())
 
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
         """Return success, with its interval, share felt, and the same after the worst loss."""
-        wait, losses = self.wait(taxels), self._pool.losses
+        wait = self.wait(taxels)
         starts = self._test[wait]
-        worst, lost = cover.worst_loss(starts, taxels, losses.members)
-        left = taxels
-        if lost is not None:
-            left = cover.left_after(taxels, losses.members[[lost]])[0]
+        worst, lost = cover.worst_loss(starts, taxels, self._losses)
+        success = cover.value(starts, taxels)
         return Row(
             layout=layout,
             taxels=len(taxels),
-            success=cover.value(starts, taxels),
-            felt=float(self._weights @ cover.felt(starts, taxels)),
+            success=success,
+            felt=float(cover.felt(starts, taxels).mean()),
             worst=worst,
-            success_interval=self._interval(cover.successes(starts, taxels)),
-            worst_interval=self._interval(cover.successes(starts, left)),
-            lost=None if lost is None else losses.names[lost],
+            success_interval=_interval(success, len(starts)),
+            worst_interval=_interval(worst, len(starts)),
+            lost=None if lost is None else self._pool.losses.names[lost],
             start_closing=wait,
         )
 
     def random(self, n: int, rng: np.random.Generator) -> Row:
         """Return means over random sets of `n` taxels, or as many as find room."""
         sets = [drawn(n, self._pool, rng) for _ in range(RANDOM_SETS)]
-        scores = []
-        for taxels in sets:
-            starts = self._test[self.wait(taxels)]
-            felt = self._weights @ cover.felt(starts, taxels)
-            worst, _ = cover.worst_loss(starts, taxels, self._pool.losses.members)
-            scores.append((cover.value(starts, taxels), felt, worst))
-        return Row("random", n, *np.mean(scores, axis=0).tolist())
+        rows = [self.row("random", taxels) for taxels in sets]
+        means = np.mean([(row.success, row.felt, row.worst) for row in rows], axis=0)
+        return Row("random", n, *means.tolist())
 
     def difference(self, a: Sequence[int], b: Sequence[int]) -> statistics.Estimate:
         """Return by how much the success of `a` is above that of `b` in the same starts, with its
@@ -324,16 +318,12 @@ class Judge:
             cover.successes(self._test[self.wait(taxels)], taxels).astype(float)
             for taxels in (a, b)
         ]
-        return self._mean(won[0] - won[1])
+        return statistics.mean(won[0] - won[1], self._counts)
 
-    def _interval(self, won: Array) -> tuple[float, float]:
-        """Return the 95 % interval of a success rate, from which starts were won, bool (n,)."""
-        if np.allclose(self._weights, 1 / len(won)):
-            return statistics.wilson_interval(int(won.sum()), len(won))
-        return self._mean(won)[1:]
 
-    def _mean(self, scores: Array) -> statistics.Estimate:
-        return statistics.mean(len(scores) * self._weights * scores, self._counts)
+def _interval(rate: float, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of a success rate in `n` starts."""
+    return statistics.wilson_interval(round(n * rate), n)
 
 
 def drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
@@ -365,7 +355,7 @@ def _use(
                 senses=("joints", "sight"),
             )  # fmt: skip
             best = max(hands, key=lambda hand: hand.rate)
-            rate += scene.weight * best.rate
+            rate += best.rate / len(pool.scenes)
             senses[best.name] = None
         blind[wait] = rate, " or ".join(senses)
     return Use(cover.value(choice[wait], pool.columns), *blind[wait])

@@ -24,6 +24,7 @@ MOST_SWAPS = 20  # which settle long before
 NODES = 200  # of a search by branch and bound
 MOST_ROWS = 6_000  # of a linear program; larger ones are left to greedy search
 TIE = 1e-9  # what the worth of a taxel counts for among sets that are equally good
+SAME = 1e-12  # difference of shares that are equal
 INTACT = 1e-6  # what success without a loss counts for among sets whose worst losses are equal
 
 
@@ -40,8 +41,6 @@ class Starts:
     """(n,) before which action no reading can tell that the object comes."""
     lets_go: Array
     """(n,) before which action it is let go."""
-    weights: Array
-    """(n,) of each start; they sum to 1."""
 
     def __len__(self) -> int:
         return len(self.fires)
@@ -65,7 +64,7 @@ class Starts:
     def worth(self) -> Array:
         """(m,) in [0, 1]: the share of starts that each taxel alone would win. Of sets that are
         equally good, the one whose taxels feel more is the likelier to feel unseen starts."""
-        return np.asarray(self.weights @ self.good)
+        return np.asarray(self.good.mean(axis=0))
 
     @property
     def early(self) -> Array:
@@ -79,10 +78,10 @@ class Chosen(NamedTuple):
     taxels: list[int]
     value: float
     """Share of the starts that count."""
-    worst: float | None
-    """The same after the worst loss; None where no losses were thought of."""
+    worst: float
+    """The same after the worst loss that was thought of."""
     bound: float | None
-    """No set of as many has more, of `worst` where that is known; None where nobody knows."""
+    """No set of as many has more of `worst`; None where nobody knows."""
 
 
 def first_firing(starts: Starts, taxels: Sequence[int]) -> Array:
@@ -102,12 +101,12 @@ def successes(starts: Starts, taxels: Sequence[int]) -> Array:
 
 def value(starts: Starts, taxels: Sequence[int]) -> float:
     """Return the share of the starts that a hand with these taxels wins."""
-    return float(starts.weights @ successes(starts, taxels))
+    return float(successes(starts, taxels).mean())
 
 
-def left_after(taxels: Sequence[int], losses: Array) -> list[list[int]]:
-    """Return what each loss leaves of these taxels (g,)."""
-    return [[taxel for taxel in taxels if not lost[taxel]] for lost in losses]
+def without(taxels: Sequence[int], lost: Array) -> list[int]:
+    """Return what a loss, bool (m,), leaves of these taxels."""
+    return [taxel for taxel in taxels if not lost[taxel]]
 
 
 def worst_loss(
@@ -115,20 +114,16 @@ def worst_loss(
 ) -> tuple[float, int | None]:
     """Return the share of the starts that a hand with these taxels wins after the worst loss, and
     which loss that is; None where no loss costs anything."""
-    intact = value(starts, taxels)
-    is_hit = losses[:, list(taxels)].any(axis=1)
-    after = np.full(len(losses), intact)
-    after[is_hit] = [value(starts, left) for left in left_after(taxels, losses[is_hit])]
-    worst = int(np.argmin(after.round(12)))
-    if after[worst] > intact - 1e-12:
-        return intact, None
-    return float(after[worst]), worst
+    least, worst = value(starts, taxels), None
+    for index in np.flatnonzero(losses[:, list(taxels)].any(axis=1)).tolist():
+        after = value(starts, without(taxels, losses[index]))
+        if after < least - SAME:
+            least, worst = after, index
+    return least, worst
 
 
-def score(starts: Starts, taxels: Sequence[int], losses: Array | None) -> float:
-    """Return what is maximised: success, or success after the worst loss and then success."""
-    if losses is None:
-        return value(starts, taxels)
+def score(starts: Starts, taxels: Sequence[int], losses: Array) -> float:
+    """Return what is maximised: success after the worst loss, and then success."""
     return worst_loss(starts, taxels, losses)[0] + INTACT * value(starts, taxels)
 
 
@@ -136,22 +131,18 @@ def values_with_each(starts: Starts, taxels: Sequence[int]) -> Array:
     """Return the share of the starts that these taxels win together with each other one (m,)."""
     moments = np.minimum(first_firing(starts, taxels)[:, None], starts.fires)
     rows = np.arange(len(starts))[:, None]
-    return np.asarray(starts.weights @ starts.succeeds[rows, moments])
+    return np.asarray(starts.succeeds[rows, moments].mean(axis=0))
 
 
-def scores_with_each(
-    starts: Starts, taxels: Sequence[int], losses: Array | None
-) -> Array:
+def scores_with_each(starts: Starts, taxels: Sequence[int], losses: Array) -> Array:
     """Return the `score` of these taxels together with each other one (m,)."""
     values = values_with_each(starts, taxels)
-    if losses is None:
-        return values
     is_hit = losses[:, list(taxels)].any(axis=1)
-    is_hit_alone = losses[~is_hit].any(axis=0)  # then the other taxels are left
+    # Of the other losses, only the new taxel is part.
+    is_hit_alone = losses[~is_hit].any(axis=0)
     worst = np.where(is_hit_alone, np.minimum(values, value(starts, taxels)), values)
-    for lost, left in zip(
-        losses[is_hit], left_after(taxels, losses[is_hit]), strict=True
-    ):
+    for lost in losses[is_hit]:
+        left = without(taxels, lost)
         after = np.where(lost, value(starts, left), values_with_each(starts, left))
         worst = np.minimum(worst, after)
     return worst + INTACT * values
@@ -163,16 +154,17 @@ def greedy(
     existing: Sequence[int] = (),
     overlap: Array | None = None,
     losses: Array | None = None,
-    first: Sequence[int] | None = None,
+    first: Sequence[int] = (),
 ) -> list[int]:
     """Choose `k` taxels one after another, then swap them as long as that gains something.
 
     Those `existing` stay, and no two are chosen that `overlap`, bool (m, m). `first` are the
-    taxels to begin with. ValueError where there is no room.
+    taxels to begin with, if any. ValueError where there is no room.
     """
     n_taxels = starts.fires.shape[1]
+    losses = np.zeros((0, n_taxels), bool) if losses is None else losses
     ties = TIE * starts.worth
-    chosen = list(existing if first is None else first)
+    chosen = list(first or existing)
 
     def best_addition(rests: list[list[int]]) -> list[int]:
         """Return the best set that is one of the `rests` and one taxel more."""
@@ -200,7 +192,7 @@ def greedy(
         ]
         swapped = best_addition(rests) if rests else chosen
         gained = score(starts, swapped, losses) - reached
-        if gained <= 1e-12:
+        if gained <= SAME:
             break
         chosen, reached = swapped, reached + gained
     return chosen
@@ -218,23 +210,19 @@ def choose(
     exact, bound = _exact(starts, k, existing, overlap, losses)
     sets = [] if exact is None else [exact]
     firsts: list[Sequence[int]] = [existing]
-    if (
-        losses is not None
-    ):  # from what is best without a loss, and from what the program found
+    if losses is not None:  # what is best without a loss, and what the program says
         firsts += [choose(starts, k, existing, overlap).taxels, *sets]
     try:
-        sets += [
-            greedy(starts, k, existing, overlap, losses, first) for first in firsts
-        ]
+        for first in firsts:
+            sets.append(greedy(starts, k, existing, overlap, losses, first))
     except ValueError:  # it left no room for as many, which there may be
         if exact is None:
             raise
-    best = max(sets, key=lambda taxels: round(score(starts, taxels, losses), 12))
-    worst = None if losses is None else worst_loss(starts, best, losses)[0]
-    reached = value(starts, best)
-    if bound is not None:
-        bound = max(bound, reached if worst is None else worst)
-    return Chosen(sorted(best), reached, worst, bound)
+    every = losses if losses is not None else np.zeros((0, starts.fires.shape[1]), bool)
+    best = max(sets, key=lambda taxels: round(score(starts, taxels, every), 12))
+    worst, _ = worst_loss(starts, best, every)
+    bound = None if bound is None else max(bound, worst)
+    return Chosen(sorted(best), value(starts, best), worst, bound)
 
 
 def _exact(
@@ -271,14 +259,11 @@ def _exact(
     limits = np.array([limit for _, limit in rows])
     lower = np.zeros(m + n + 1)
     lower[list(existing)] = 1.0
-    is_equal = np.ptp(starts.weights) == 0.0
-    # What decides among equals must not pass for a start that is won.
-    least = starts.weights.min() * (1.0 if is_equal else 1e-3)
     is_taxel = np.r_[np.ones(m), np.zeros(n + 1)]
-    ties = 0.1 * least / k * starts.worth
+    ties = 0.1 / len(starts) / k * starts.worth
     objective = np.r_[ties, gains, 0.0]
     if losses is not None:
-        objective = np.r_[0.5 * least * objective[:-1], 1.0]
+        objective = np.r_[0.5 / len(starts) * objective[:-1], 1.0]
     solved = optimize.milp(
         -objective,
         integrality=is_taxel,
@@ -290,12 +275,10 @@ def _exact(
         options={"node_limit": NODES, "mip_rel_gap": 1e-6},
     )
     bound = solved.mip_dual_bound
-    if bound is None or not np.isfinite(bound):
-        bound = None
-    elif is_equal:  # whole starts
+    if bound is not None and np.isfinite(bound):  # whole starts
         bound = int(-bound * len(starts) + 1e-6) / len(starts)
     else:
-        bound = -float(bound)
+        bound = None
     if solved.x is None:
         return None, bound
     return np.flatnonzero(solved.x[:m] > 0.5).tolist(), bound
@@ -314,7 +297,7 @@ def _program(
     m = starts.fires.shape[1]
     happens = np.hstack([starts.fires, starts.good])
     patterns, which = np.unique(happens, axis=0, return_inverse=True)
-    weights = np.bincount(which.reshape(-1), starts.weights).tolist()
+    weights = (np.bincount(which.reshape(-1)) / len(starts)).tolist()
     rows: list[Constraint] = []
     gains: list[float] = []
     lost = np.zeros((0, m), bool) if losses is None else losses

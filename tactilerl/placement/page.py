@@ -58,7 +58,6 @@ def _data(design: Design) -> dict[str, Any]:
                 "candidate": index in pool.columns,
             }
         )
-    weights = next(iter(design.test.values())).weights
     losses = zip(pool.losses.names, pool.losses.members, strict=True)
     return {
         "title": f"{hand_name} in {NAMES.get(scene, scene)}: "
@@ -86,7 +85,6 @@ def _data(design: Design) -> dict[str, Any]:
             }
             for wait, starts in design.test.items()
         ],
-        "weights": None if np.ptp(weights) < 1e-12 else weights.tolist(),
         "survives": pool.flags.survives,
         "loss": layouts.short(pool.flags.survives or "taxel"),
         "losses": [[name, np.flatnonzero(lost).tolist()] for name, lost in losses],
@@ -97,11 +95,10 @@ def _data(design: Design) -> dict[str, Any]:
 
 
 def _starts(starts: Starts) -> dict[str, Any]:
-    """Return when each taxel fires in each start, at which moments closing succeeds, when the object
-    is let go, and what each start weighs."""
+    """Return when each taxel fires in each start, at which moments closing succeeds, and when the
+    object is let go."""
     return {
         "fires": starts.fires.tolist(),
         "succeeds": [np.flatnonzero(row).tolist() for row in starts.succeeds],
         "lets_go": starts.lets_go.tolist(),
-        "weights": starts.weights.tolist(),
     }

@@ -81,12 +81,13 @@ def record(
     numbers: Sequence[int],
     workers: int,
     tick: Callable[[], None] = lambda: None,
-    weight: float = 1.0,
     thresholds: Sequence[float | None] = (None,),
 ) -> list[Starts]:
-    """Play the starts that the seeds `numbers` draw in a scene, which together weigh `weight`, and
-    return them for each threshold in N (None: the scene's, or each taxel's own). `tick` is called
-    after every start."""
+    """Play the starts that the seeds `numbers` draw in a scene, and return them for each threshold in N
+    (None: the scene's, or each taxel's own).
+
+    `tick` is called after every start.
+    """
     blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
     usual = scene.taxel_threshold
     forces = [usual if threshold is None else threshold for threshold in thresholds]
@@ -100,10 +101,8 @@ def record(
             rows.append(row)
             tick()
     fires, succeeds, sets_off, lets_go = map(np.array, zip(*rows, strict=True))
-    weights = np.full(len(rows), weight / len(rows))
     return [
-        Starts(fires[:, i], succeeds, sets_off, lets_go, weights)
-        for i in range(len(needed))
+        Starts(fires[:, i], succeeds, sets_off, lets_go) for i in range(len(needed))
     ]
 
 

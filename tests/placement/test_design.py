@@ -36,10 +36,13 @@ def some(rng, n=12, m=8):
 
 def starts_of(fires, succeeds):
     n = len(fires)
-    return Starts(np.array(fires, np.uint8), succeeds, np.zeros(n), np.zeros(n), np.full(n, 1 / n))
+    return Starts(np.array(fires, np.uint8), succeeds, np.zeros(n), np.zeros(n))
 
 
-def best_of(starts, k, existing=(), overlap=None, losses=None):
+NO_LOSS = np.zeros((0, 8), bool)
+
+
+def best_of(starts, k, existing=(), overlap=None, losses=NO_LOSS):
     """The best score of any set."""
     free = [i for i in range(starts.fires.shape[1]) if i not in existing]
     sets = [[*existing, *x] for x in itertools.combinations(free, k - len(existing))]
@@ -55,11 +58,11 @@ class TestCover:
             rng = np.random.default_rng(seed)
             starts, existing = some(rng), [5] if seed % 2 else []
             starts.fires[:, 5] = np.where(rng.random(12) < 0.3, 3, starts.fires[:, 5])
-            if seed % 3:
-                starts.weights[:] = rng.dirichlet(np.ones(12))
             result = cover.choose(starts, 3, existing)
-            assert result.value == pytest.approx(best_of(starts, 3, existing))
-            assert result.bound == pytest.approx(result.value, abs=1e-4)
+            assert cover.score(starts, result.taxels, NO_LOSS) == pytest.approx(
+                best_of(starts, 3, existing)
+            )
+            assert result.bound == pytest.approx(result.value)
             assert result.value == pytest.approx(cover.value(starts, result.taxels))
             assert {*existing} <= {*result.taxels}
 
@@ -80,7 +83,7 @@ class TestCover:
     def test_one_more_taxel(self):
         rng = np.random.default_rng(1)
         starts = some(rng)
-        for losses in (None, np.eye(8, dtype=bool), rng.random((3, 8)) < 0.4):
+        for losses in (NO_LOSS, np.eye(8, dtype=bool), rng.random((3, 8)) < 0.4):
             each = cover.scores_with_each(starts, [0, 3], losses)
             others = [1, 2, 4, 5, 6, 7]
             assert each[others] == pytest.approx(
@@ -110,13 +113,13 @@ class TestCover:
         overlap[np.ix_(free.taxels, free.taxels)] = ~np.eye(3, dtype=bool)
         result = cover.choose(starts, 3, overlap=overlap)
         assert not overlap[np.ix_(result.taxels, result.taxels)].any()
-        assert result.value == pytest.approx(best_of(starts, 3, overlap=overlap))
+        best = best_of(starts, 3, overlap=overlap)
+        assert cover.score(starts, result.taxels, NO_LOSS) == pytest.approx(best)
 
     def test_room_that_greedy_does_not_leave(self):
-        succeeds = np.zeros((3, NEVER + 1), bool)
+        succeeds = np.zeros((5, NEVER + 1), bool)
         succeeds[:, 5] = True
-        starts = starts_of([[5, 5, NEVER], [NEVER, 5, 5], [5, NEVER, 5]], succeeds)
-        starts.weights[:] = 0.4, 0.4, 0.2
+        starts = starts_of([[5, 5, NEVER]] * 2 + [[NEVER, 5, 5]] * 2 + [[5, NEVER, 5]], succeeds)
         overlap = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], bool)  # a row of three
         assert cover.choose(starts, 2, overlap=overlap).taxels == [0, 2]
 
@@ -251,13 +254,12 @@ def test_starts_are_resampled_within_their_scenes():
     """Where every start of one scene succeeds and none of the other, nothing is uncertain."""
     succeeds = np.zeros((8, NEVER + 1), bool)
     succeeds[:4, 5] = True
-    starts = starts_of([[5, 5]] * 8, succeeds)
-    starts.weights[:] = np.repeat([0.75, 0.25], 4) / 4
+    starts = starts_of([[5, NEVER]] * 8, succeeds)
     losses = SimpleNamespace(names=("a", "b"), members=np.eye(2, dtype=bool))
     pool = SimpleNamespace(scenes=[1, 2], losses=losses, flags=SimpleNamespace(survives=""))
     judge = choice.Judge({None: starts}, {None: starts}, pool)
-    assert judge.row("x", [0]).success_interval == pytest.approx([0.75, 0.75])
-    assert judge.hopeless == 0.25
+    assert judge.difference([0], [1]) == pytest.approx((0.5, 0.5, 0.5))
+    assert judge.hopeless == 0.5
 
 
 @pytest.mark.usefixtures("in_tmp")
@@ -336,7 +338,6 @@ class TestCommand:
             (["--margin", "30"], "--margin 30: no taxel is left"),
             (["--taxel-threshold", "0", "1", "--out", "x.toml"], "--out: found with 2 of"),
             (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
-            (["--weights", "1", "2"], "weights: found 2"),
             (["--env", "foot"], "env: found 'foot'"),
             (["--taxels", "1..2", "--out", "x.toml"], "--out: found 'x.toml'"),
             (["--out", "x.png"], "--out: found 'x.png'"),

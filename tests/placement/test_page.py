@@ -8,7 +8,6 @@ import subprocess
 
 import numpy as np
 import pytest
-from tactilerl import statistics
 from tactilerl.envs import layouts
 from tactilerl.placement import choice, cover, page
 from tactilerl.placement.candidates import DesignFlags, Pool
@@ -102,7 +101,7 @@ def played(rng, n_taxels):
     succeeds = np.zeros((N_STARTS, NEVER + 1), bool)
     succeeds[:, 8:30] = rng.random((N_STARTS, 22)) < 0.7
     sets_off, lets_go = np.zeros(N_STARTS, int), np.full(N_STARTS, 20)
-    return Starts(fires, succeeds, sets_off, lets_go, np.full(N_STARTS, 1 / N_STARTS))
+    return Starts(fires, succeeds, sets_off, lets_go)
 
 
 @pytest.fixture(scope="module", params=["", "digit"])
@@ -192,9 +191,3 @@ def test_a_page_that_is_too_large_is_refused(design, monkeypatch):
     monkeypatch.setattr(page, "MOST_BYTES", 1_000)
     with pytest.raises(ValueError, match="out: found a page of"):
         page.page(design[0])
-
-
-def test_intervals_are_wilsons(design):
-    row = design[1].row("x", design[0].pool.columns[:3])
-    wins = round(row.success * N_STARTS)
-    assert row.success_interval == statistics.wilson_interval(wins, N_STARTS)
