@@ -24,6 +24,8 @@ from subprocess import PIPE, STDOUT, TimeoutExpired, run
 from sys import executable
 from typing import Any
 
+from tactilerl.envs.hands.guess import describe
+
 from benchmarks.command import ROOT, count, earlier, markdown, parser, write
 
 HERE = Path(__file__).parent
@@ -53,15 +55,21 @@ def found_model(model: str, folder: Path) -> str:
     return str((clone / path).absolute())
 
 
-def guess(text: str) -> dict[str, Any]:
-    """Return what a hand's file says of palm and digits, each by its last link."""
-    file = tomllib.loads(text)
+def guess(model: str) -> dict[str, Any]:
+    """Return what is guessed of a model's palm and digits, each by its last link; {} where nothing
+    is."""
+    try:
+        file = tomllib.loads(describe(model, Path(), {})[0])
+    except ValueError:
+        return {}
     digits = {name: about["links"][-1] for name, about in file["digits"].items()}
     return {key: file[key] for key in ("palm", "palmar", "fingers")} | {"digits": digits}
 
 
 def judged(name: str, guessed: dict[str, Any]) -> str:
-    """Return "as a person says", or what of a guess a person says otherwise."""
+    """Return "as a person says", or what of a guess a person says otherwise; "" for no guess."""
+    if not guessed:
+        return ""
     palm, palmar, fingers, *digits = HANDS[name]["says"].split()
     parts, links = dict(pair.split("=") for pair in digits), guessed["digits"]
     named = links.keys() == parts.keys() and all(parts[digit] in links[digit] for digit in parts)
@@ -87,9 +95,6 @@ def measure(seconds: float, model: str) -> dict[str, Any]:
         command = partial(_command, folder, seconds)
         code, said = command("hand", model, "--out", "hand.toml")
         found: dict[str, Any] = {"failed": _failure(code, said)}
-        file = Path(folder, "hand.toml")
-        if file.exists():
-            found["guess"] = guess(file.read_text(encoding="utf-8"))
         for simulator in SIMULATORS if not found["failed"] else ():
             found[simulator] = _in(simulator, command)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -140,9 +145,12 @@ def _failure(code: int | None, said: str) -> str:
 def show(result: dict[str, Any]) -> None:
     """Print the table of the docs."""
     rows = []
-    for name, about in sorted(result["runs"].items(), key=lambda run: list(HANDS).index(run[0])):
+    for name, guessed in sorted(result["guesses"].items(), key=lambda each: list(HANDS).index(each[0])):
+        says, about = judged(name, guessed), result["runs"].get(name)
+        if about is None:
+            rows.append([name, says, "not tried", "", "", ""])
+            continue
         minutes = f"{about['minutes']:.1f}"
-        says = judged(name, about["guess"]) if "guess" in about else ""
         if about["failed"]:
             rows.append([name, says, about["failed"].replace("|", "/"), "", "", minutes])
             continue
@@ -166,9 +174,14 @@ def main() -> None:
     flags.add_argument("--seconds", type=count, default=1200, help="of each command, at most")
     flags.add_argument("--models", type=Path, default=Path("models"), help="folder of repositories")
     options = flags.parse_args()
-    result = {"steps": STEPS, "runs": {}} | earlier(options.out)
-    for name, hand in HANDS.items():
-        if name not in result["runs"] and (model := found_model(hand["model"], options.models)):
+    result = {"steps": STEPS, "guesses": {}, "runs": {}} | earlier(options.out)
+    models = {name: found_model(hand["model"], options.models) for name, hand in HANDS.items()}
+    for name, model in models.items():
+        if model and name not in result["guesses"]:
+            result["guesses"][name] = guess(model)
+            write(options.out, result)
+    for name, model in models.items():
+        if model and name not in result["runs"]:
             result["runs"][name] = measure(options.seconds, model)
             write(options.out, result)
     show(result)
