@@ -151,7 +151,9 @@ class TestHand:
 
 
 class TestTaxelFiles:
-    taxels = layouts.load("1").place(hands.get(GRIPPER))
+    @pytest.fixture
+    def taxels(self):
+        return layouts.load("1").place(hands.get(GRIPPER))
 
     def test_a_genesis_file_as_it_is_published(self, tmp_path):
         """Entries a link, probes in rows of a grid, which those of radius 0 fill up."""
@@ -186,16 +188,16 @@ class TestTaxelFiles:
         with pytest.raises(ValueError, match="found link 'toe', allowed: left_1, left_2"):
             layouts.load(str(path)).place(hands.get(GRIPPER))
 
-    def test_points_off_the_skin_are_named(self):
+    def test_points_off_the_skin_are_named(self, taxels):
         hand = hands.get(GRIPPER)
-        points = [point._replace(name=f"{i}") for i, point in enumerate(self.taxels.points)]
+        points = [point._replace(name=f"{i}") for i, point in enumerate(taxels.points)]
         far = points[0]._replace(position=(0.02, 0.0, -0.02))
         layout = layouts.Layout("far", "", (), (far, *points[1:]))
         assert hand_map.off_skin(hand, layout.place(hand)) == ["0"]
         shadow = hands.get("shadow")
-        taxels = layouts.load("6").place(shadow).points
-        inside = taxels[0]._replace(position=(0.0, 0.0, 0.01), radius=0.001)
-        layout = layouts.Layout("inside", "", (), (inside, *taxels[1:]))
+        first, *others = layouts.load("6").place(shadow).points
+        inside = first._replace(position=(0.0, 0.0, 0.01), radius=0.001)
+        layout = layouts.Layout("inside", "", (), (inside, *others))
         assert hand_map.off_skin(shadow, layout.place(shadow)) == [inside.name]
 
     def test_a_patch_without_digits_and_segments_is_on_all(self, tmp_path):

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tactilerl.envs import hands, layouts, taxel_files
+from tactilerl.envs.hands import Point
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
-POINTS = layouts.load("5").place(hands.get(GRIPPER)).points
 PROBE = '[{"link_name": "a", "probes": [{"pos": [%s, 0, 0], "normal": [1, 0, 0], "radius": %s}]}]'
+ROW = ("left_2", (0.0, 0.001, -0.02), (-0.8, 0.0, 0.6), 0.0015, "one")
+POINTS = [Point(*ROW), Point(*ROW)._replace(position=(0.0, 0.001, -0.015), name="two")]
 
 
 def csv_of(points, heading="link, x, y, z, nx, ny, nz, radius, name"):

@@ -15,7 +15,7 @@ from tactilerl.study.executors import BATCH, cluster
 from one_line import fails_with
 from tiny_study import TINY, learned, trained, write
 
-distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="no Dask")
 needs_jobqueue = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="no dask-jobqueue")
 LONG = TINY.replace("= 200", "= 2000")
 PATIENCE = 300  # s
@@ -36,6 +36,8 @@ def begun(folder, n=1):
 
 
 def test_a_worker_that_is_killed_costs_no_bit(tmp_path, on_local):
+    import distributed
+
     with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
         out, pids = tmp_path / "out", [worker.pid for worker in cluster.workers.values()]
 
