@@ -49,7 +49,7 @@ def make(
     render_mode: str | None = None,
     **choices: Any,
 ) -> gym.Env[Any, Any]:
-    """An environment by name.
+    """Return an environment by name.
 
     `name` is one of the library's hands or the path of a hand's .toml file (`choices` are then fields
     of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id; `env` means the same.
@@ -105,8 +105,9 @@ def _meant(name: str, known: tuple[str, ...]) -> str:
 
 
 def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """The environment that `gymnasium.make` would cut off at its `max_episode_steps` with episodes that
-    are as long by themselves, and end as the task says. ValueError where the task needs more.
+    """Return the environment that `gymnasium.make` would cut off at its `max_episode_steps` with
+    episodes that are as long by themselves, and end as the task says. ValueError where the task needs
+    more.
     """
     base: Any = env.unwrapped
     if not isinstance(env, gym.wrappers.TimeLimit) or base.spec is None:

@@ -99,8 +99,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
-    """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
-    no such field.
+    """Return the configuration of a hand's set-up, with some fields chosen otherwise.
+
+    Raises ValueError when there is no such field.
     """
     usual, known = hands.usage(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
@@ -184,7 +185,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self.observation_space = self._spaces()
 
     def _palm_skin(self) -> Array:
-        """The place (3,) on the palm's skin where objects are handed over."""
+        """Return the place (3,) on the palm's skin where objects are handed over."""
         beside = self.hand.handed_beside
         palm = [
             s
@@ -196,7 +197,7 @@ class GraspEnv(gym.Env[Any, Array]):
         return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
 
     def _spaces(self) -> gym.spaces.Dict:
-        """A task with a single goal has it as its only one."""
+        """Return the spaces of observations, where a task with a single goal has it as its only one."""
         unbounded, goal = np.full(self.task.goal_size, np.inf, np.float32), None
         if self.task.only_goal is not None:
             goal = self.task.only_goal.astype(np.float32)
@@ -233,7 +234,9 @@ class GraspEnv(gym.Env[Any, Array]):
         return self._obs, self._info()
 
     def _jittered(self, shape: Shape) -> tasks.Start:
-        """The hand open above the object, both a little moved where that is asked for."""
+        """Return the start with the hand open above the object, both a little moved where that is
+        asked for.
+        """
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
         config, rng = self.config, self.np_random
         if config.jitter:
@@ -261,7 +264,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def step_to(
         self, targets: Array
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """A step towards joint targets (n_actuators,), rad and m, that no action need stand for."""
+        """Take a step towards joint targets (n_actuators,), rad and m, beyond any action if need be."""
         self._steps += 1
         is_last = self._steps >= self.max_episode_steps
         try:
@@ -300,11 +303,13 @@ class GraspEnv(gym.Env[Any, Array]):
         return self._item.shape
 
     def observation_names(self) -> list[str]:
-        """What each entry of ``observation`` is, in order."""
+        """Return what each entry of ``observation`` is, in order."""
         return list(self._observer.space.names)
 
     def observation_entries(self, *terms: str) -> Array:
-        """Which entries of ``observation`` are the newest of some of the hand's terms, or "taxels"."""
+        """Return which entries of ``observation`` are the newest of some of the hand's terms, or
+        "taxels".
+        """
         return self._observer.entries(*terms)
 
     @property
@@ -329,11 +334,11 @@ class GraspEnv(gym.Env[Any, Array]):
         return None
 
     def picture(self, camera: simulators.Camera) -> Array:
-        """The scene as `camera` sees it, RGB (height, width, 3) uint8."""
+        """Return the scene as `camera` sees it, RGB (height, width, 3) uint8."""
         return self.simulator.render(camera, [*self.spheres()])
 
     def spheres(self) -> Iterator[Sphere]:
-        """The taxels, to be drawn."""
+        """Yield the taxels, to be drawn."""
         state, radii = self.simulator.state(), self.taxels.radii
         if self.config.touch == "absent":
             return
@@ -349,8 +354,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self.simulator.close()
 
     def _require_whole(self, before: State) -> None:
-        """SimulationError when an action moved the object too fast: the physics can break and stay
-        finite, as fingers that overlap deeply shoot the object out.
+        """Raise SimulationError when an action moved the object too fast: the physics can break and
+        stay finite, as fingers that overlap deeply shoot the object out.
         """
         moved = self.state.object_position - before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt

@@ -193,7 +193,7 @@ class Layout:
         return not (self.patches or self.taxels)
 
     def place(self, hand: Hand) -> Taxels:
-        """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
+        """Return the taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
         n_taxels = len(self.taxels) + sum(
             len(patch.offsets)
@@ -223,11 +223,11 @@ class Layout:
         return Taxels(every, np.array(surfaces), np.array(offsets))
 
     def __str__(self) -> str:
-        """What stands for it in a configuration, where a name or a path usually does."""
+        """Return what stands for it in a configuration, where a name or a path usually does."""
         return self.name if self.is_model or self in PAPER.values() else self.toml()
 
     def toml(self) -> str:
-        """The text of a layout file, exact to the last digit."""
+        """Return the text of a layout file, exact to the last digit."""
         lines = [f"description = {validation.quoted(self.description)}"]
         lines += ["partial = true"] if self.partial else []
         for patch in self.patches:
@@ -379,7 +379,7 @@ def names() -> tuple[str, ...]:
 
 
 def short(name: str) -> str:
-    """What a layout is called where there is little room."""
+    """Return what a layout is called where there is little room."""
     return "own" if "\n" in name else Path(name).stem
 
 
@@ -389,7 +389,7 @@ def is_file(name: str) -> bool:
 
 
 def load(name: str) -> Layout:
-    """A layout by number, by name, or from a file: TOML, or points in another format
+    """Return a layout by number, by name, or from a file: TOML, or points in another format
     (`taxel_files.READERS`); or from the text of a TOML file.
 
     Raises ValueError naming what is wrong with the file, and FileNotFoundError.
@@ -428,7 +428,7 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
 
 
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
-    """The layout with these taxels: in patches those that lie on grids, the others as points."""
+    """Return the layout with these taxels: in patches those that lie on grids, the others as points."""
     on_grid, points = [], []
     for index, point in enumerate(taxels.points):
         row, column, height = (mm(value) for value in taxels.offsets[index])

@@ -45,13 +45,13 @@ class ObjectConfig:
 
     @property
     def is_near(self) -> bool:
-        """Does the object start where the hand leaves room for it?"""
+        """Whether the object starts where the hand leaves room for it."""
         is_usual = self.start_offset <= OFFSET and self.start_yaw <= YAW
         return is_usual or not self.jitter
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:
-    """A shape from its measures in m: a box's edges (one: a cube), a sphere's diameter, a
+    """Return a shape from its measures in m: a box's edges (one: a cube), a sphere's diameter, a
     cylinder's diameter and height (one: both). ValueError for another number of them.
     """
     allowed = {"box": "1 or 3", "sphere": "1", "cylinder": "1 or 2"}[kind]
@@ -69,16 +69,18 @@ class Item:
 
     shape: Shape
     density: float
-    """kg/m³"""
+    """Density, kg/m³."""
     friction: float
 
     @property
     def mass(self) -> float:
-        """kg"""
+        """Mass, kg."""
         return self.density * self.shape.volume
 
     def describe(self) -> dict[str, Any]:
-        """Plain values, for ``info``: edges (of a sphere or cylinder: of the box around it) in m."""
+        """Return plain values, for ``info``: edges (of a sphere or cylinder: of the box around it) in
+        m.
+        """
         size = tuple(2 * half for half in self.shape.half_size)
         values = {"density": self.density, "mass": self.mass, "friction": self.friction}
         return {"kind": self.shape.kind, "size": size, **values}
@@ -98,13 +100,14 @@ class Items:
         largest = [make(kind, highest) for kind in self._kinds]
         self.width = max(shape.width for shape in largest)
         self.height = max(shape.height for shape in largest)
-        """Of the widest and of the highest object, m."""
+        """Height of the highest object, m; `width` is that of the widest."""
         self.smallest = min(low for low, _ in self._sizes)
-        """Of all measures, m."""
+        """Least of all measures, m."""
         self.first = Item(largest[0], self._density[1], self._friction[1])
         """The largest of the first kind; the only one where they do not vary."""
 
     def draw(self, rng: np.random.Generator) -> Item:
+        """Return the object of an episode."""
         if not self.vary:
             return self.first
         kind = self._kinds[rng.integers(len(self._kinds))]
@@ -120,7 +123,7 @@ def _kinds(names: str) -> tuple[Kind, ...]:
 
 
 def bounds(name: str, value: Number) -> tuple[float, float]:
-    """Lowest and highest of a number or of "LOW..HIGH"; ValueError, calling it `name`."""
+    """Return lowest and highest of a number or of "LOW..HIGH"; ValueError, calling it `name`."""
     parts = value.split("..") if isinstance(value, str) else [value]
     try:
         low, high = float(parts[0]), float(parts[-1])
@@ -132,15 +135,16 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
 
 
 def require_ends(config: Any, *names: str) -> None:
-    """ValueError for an end of a range that the type of its field does not allow."""
+    """Raise ValueError for an end of a range that the type of its field does not allow."""
     for name in names:
         for end in bounds(name, getattr(config, name)):
             require_type(end, hints(type(config))[name], name)
 
 
 def scaled(value: Any, factor: float) -> Any:
-    """A number, a range or a list of them times `factor`; to a tenth of a millimetre, as a file would
-    have it in m.
+    """Return a number, a range or a list of them times `factor`, as a file would have it in m.
+
+    It is rounded to a tenth of a millimetre.
     """
     if isinstance(value, list | tuple):
         return [scaled(each, factor) for each in value]
@@ -149,7 +153,7 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def validate(config: ObjectConfig) -> None:
-    """ValueError naming the first invalid field."""
+    """Raise ValueError naming the first invalid field."""
     require_ends(config, "object_density", "friction")
     items = Items(config)
     for size, is_wrong, allowed in (

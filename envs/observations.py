@@ -113,11 +113,11 @@ class Term(NamedTuple):
     """A few entries of the observation; a hand's ``observation`` says which terms it has."""
 
     what: str
-    """All entries are."""
+    """What all entries are."""
     entries: Callable[[Hand], Sequence[str]]
-    """Which of that each one is."""
+    """Names that tell the entries apart."""
     read: Callable[[Hand, State], Array]
-    """(n,) from what is sensed."""
+    """Function that returns the entries (n,) of what is sensed."""
 
 
 def _of_first_joints(hand: Hand, state: State) -> Array:
@@ -125,7 +125,7 @@ def _of_first_joints(hand: Hand, state: State) -> Array:
 
 
 def _upper(quaternion: Array) -> Array:
-    """Of the two quaternions of an orientation, that with w from 0 up."""
+    """Return, of the two quaternions of an orientation, that with w from 0 up."""
     return np.copysign(1.0, quaternion[0]) * quaternion
 
 
@@ -179,7 +179,7 @@ class JointErrors:
     """
 
     def __init__(self, white: Array, held: Array, control_dt: float) -> None:
-        """Standard deviations (n,) of both, rad or m."""
+        """Take the standard deviations (n,) of both, rad or m."""
         self.white, self.held, self.control_dt = white, held, control_dt
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -188,7 +188,7 @@ class JointErrors:
         self._noise: Array | None = None
 
     def __call__(self, state: State) -> State:
-        """What is sensed of joints and hand; once a control step."""
+        """Return the state with joints and hand as they are sensed; once a control step."""
         noise = self.white * self._rng.standard_normal(self.white.shape)
         error, before, self._noise = self._error + noise, self._noise, noise
         speed = 0.0 if before is None else (noise - before) / self.control_dt
@@ -282,7 +282,7 @@ class Sight:
         return self._scale * self._rng.standard_normal(6)
 
     def __call__(self, state: State) -> State:
-        """What is seen; of the object's pose only position and quaternion count."""
+        """Return the state as it is seen; of the object's pose only position and quaternion count."""
         if self._seen == "exact":
             return state
         shape, self._start = state.shape, self._start or state
@@ -362,11 +362,13 @@ class Observer:
         self.space = NamedBox(names, config.history * len(taxels), is_boolean)
 
     def entries(self, *terms: str) -> Array:
-        """Indices of the newest entries of these terms, as far as the hand has them, or "taxels"."""
+        """Return the indices of the newest entries of these terms, as far as the hand has them, or
+        "taxels".
+        """
         return np.flatnonzero(np.isin(self._term_of_entry, terms))
 
     def begin(self, rng: np.random.Generator) -> None:
-        """A new episode, which the next state starts."""
+        """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
         self._sight.begin(sight)
         if self._joints is not None:
@@ -375,7 +377,7 @@ class Observer:
             stage.begin(taxels)
 
     def observe(self, state: State, taxels: Array) -> Array:
-        """(n,) float32 from what is true and what the taxels feel; once a control step."""
+        """Return (n,) float32 from what is true and what the taxels feel; once a control step."""
         sensed = self._sight(state)
         if self._joints is not None:
             sensed = self._joints(sensed)

@@ -34,7 +34,7 @@ class Offsets(NamedTuple):
 
 
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
-    """As the environment's jitter would make them, but for the joints' ranges."""
+    """Draw offsets as the environment's jitter would make them, but for the joints' ranges."""
     joints = np.zeros(n_joints)
     fingers = joints[len(SLIDES) :]
     fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
@@ -43,7 +43,7 @@ def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
 
 
 def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Offsets]:
-    """`n` starts; each follows from `seed` and its number alone."""
+    """Yield `n` starts; each follows from `seed` and its number alone."""
     for index in range(n):
         rng = np.random.default_rng([seed, index])
         yield perturbed_start(rng, len(env.hand.joints))
@@ -82,15 +82,17 @@ def period(timestep: float) -> float:
 
 
 def ramps(env: GraspEnv, grasp: ScriptedGrasp, dt: float) -> Iterator[Array]:
-    """Joint targets (n_actuators,) every `dt` s, until the lifted hand is where it stays."""
+    """Yield joint targets (n_actuators,) every `dt` s, until the lifted hand is where it stays."""
     yield from itertools.chain(*legs(env, grasp, dt))
 
 
 def legs(
     env: GraspEnv, grasp: ScriptedGrasp, dt: float, closing: float = 1.0
 ) -> tuple[list[Array], list[Array], list[Array]]:
-    """Joint targets (n_actuators,) every `dt` s of approach, closing and lift. `closing` is how far
-    the fingers go from their start to where the grasp has them: 1 is all the way.
+    """Return joint targets (n_actuators,) every `dt` s of approach, closing and lift.
+
+    `closing` is how far the fingers go from their start to where the grasp has them: 1 is all the
+    way.
     """
     start = env.hand.start_targets()
     starts = zip(env.hand.actuators, start, strict=True)
@@ -108,8 +110,9 @@ def legs(
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
-    """The hand's scripted grasp nearest to the width of the environment's object; ValueError where its
-    file has none.
+    """Return the hand's scripted grasp nearest to the width of the environment's object.
+
+    ValueError where its file has none.
     """
     if not env.hand.grasps:
         advice = "tactilerl env --env FILE --check finds one"

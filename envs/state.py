@@ -29,7 +29,7 @@ class Shape:
 
     @property
     def width(self) -> float:
-        """The larger of its two measures across, m."""
+        """Larger of its two measures across, m."""
         return 2 * max(self.half_size[:2])
 
     @property
@@ -38,13 +38,13 @@ class Shape:
 
     @property
     def volume(self) -> float:
-        """m³"""
+        """Volume, m³."""
         x, y, z = self.half_size
         factor = {"box": 8.0, "sphere": 4 / 3 * math.pi, "cylinder": 2 * math.pi}
         return factor[self.kind] * x * y * z
 
     def squared_distance(self, points: Array) -> Array:
-        """Squared distance (...) in m² from points (..., 3) to the solid, 0 inside."""
+        """Return the squared distance (...) in m² from points (..., 3) to the solid, 0 inside."""
         if self.kind == "sphere":
             return np.square(
                 np.maximum(np.linalg.norm(points, axis=-1) - self.half_size[0], 0.0)
@@ -59,7 +59,9 @@ class Shape:
         return np.einsum("...i,...i->...", beyond, beyond)
 
     def half_height(self, rotation: Array) -> Array:
-        """How far (...) the shape reaches below its centre when turned by `rotation` (..., 3, 3), m."""
+        """Return how far (...) the shape reaches below its centre when turned by `rotation` (..., 3,
+        3), m.
+        """
         x, _, z = self.half_size
         if self.kind == "sphere":
             return np.full(rotation.shape[:-2], x)
@@ -98,9 +100,9 @@ class State:
     """A hand and an object. What was not recorded is empty."""
 
     shape: Shape
-    """The object's."""
+    """Shape of the object."""
     object_position: Array
-    """(..., 3) of its centre."""
+    """(..., 3) of the object's centre, m."""
     object_rotation: Array
     """(..., 3, 3)"""
     links: tuple[str, ...]
@@ -130,8 +132,9 @@ class State:
     """(..., n) bool: do the sensors that the simulator itself has feel a contact?"""
 
     def poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
-        """Positions (..., k, 3) and rotations (..., k, 3, 3) of some links; ValueError for a name that
-        none has.
+        """Return positions (..., k, 3) and rotations (..., k, 3, 3) of some links.
+
+        ValueError for a name that none has.
         """
         at = places(self.links, links)
         return self.link_positions.take(at, axis=-2), self.link_rotations.take(
@@ -140,7 +143,7 @@ class State:
 
     @property
     def clearance(self) -> Array:
-        """(...) under the object's lowest point, m."""
+        """Height (...) of the object's lowest point over the ground, m."""
         return self.object_position[..., 2] - self.shape.half_height(
             self.object_rotation
         )
@@ -148,5 +151,5 @@ class State:
 
 @lru_cache(maxsize=1024)
 def places(links: tuple[str, ...], some: tuple[str, ...]) -> Array:
-    """Where some links are among all; ValueError for a name that none has."""
+    """Return where some links are among all; ValueError for a name that none has."""
     return np.array([links.index(link) for link in some], int)

@@ -61,7 +61,7 @@ class TaskConfig:
 
 
 def validate(config: TaskConfig) -> None:
-    """ValueError naming the first invalid field."""
+    """Raise ValueError naming the first invalid field."""
     require_ends(config, "handover_reach")
     task = TASKS[config.task]
     for other, kind in TASKS.items():
@@ -78,11 +78,11 @@ class Start(NamedTuple):
     joints: Array
     """Positions (n_joints,) in the order of the hand's ``joints``, rad and m."""
     position: Array
-    """Of the object (3,), m."""
+    """Place of the object (3,), m."""
     yaw: float
-    """Of the object, rad."""
+    """Turn of the object about the vertical, rad."""
     targets: Array
-    """(n_actuators,) that the hand is held to at first."""
+    """Joint targets (n_actuators,) to which the hand is held at first, rad and m."""
 
 
 class Task(ABC):
@@ -110,13 +110,13 @@ class Task(ABC):
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
-        """ValueError naming a field that does not go together with others in this task."""
+        """Raise ValueError naming a field that does not go together with others in this task."""
 
     def __init__(
         self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
     ) -> None:
-        """As configured, for a hand whose own timestep is that, s, and a scene whose first object has
-        this shape.
+        """Make the task as configured, for a hand whose own timestep is that, s, and a scene whose
+        first object has this shape.
         """
         self.config, self.first = config, first
         self.hold = HoldTest(
@@ -129,17 +129,17 @@ class Task(ABC):
     def start(
         self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
     ) -> Start:
-        """How an episode begins: usually with the hand open above an object on the ground, both a
-        little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers.
+        """Return how an episode begins: usually with the hand open above an object on the ground,
+        both a little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers.
         """
         return usual
 
     @abstractmethod
     def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
-        """(achieved, desired goal) of a new episode, each (goal_size,)."""
+        """Return (achieved, desired goal) of a new episode, each (goal_size,)."""
 
     def before_step(self, simulator: Simulator, step: int) -> None:
-        """What others do in the scene before the hand's action number `step`, or at the start (0)."""
+        """Do what others do in the scene before the hand's action number `step`, or at its start (0)."""
 
     @abstractmethod
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
@@ -157,10 +157,10 @@ class Task(ABC):
 
     @abstractmethod
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """Rewards (...) from goals (..., goal_size)."""
+        """Return rewards (...) from goals (..., goal_size)."""
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """bool (...); usually, is the outcome at the end of the achieved goal "held"?"""
+        """Tell where goals (...) are reached: usually, where the achieved one ends in "held"."""
         return np.asarray(achieved_goal)[..., -1] == OUTCOMES["held"]
 
 
@@ -190,8 +190,9 @@ class ReachGoal(Task):
         return state.object_position, False
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """sparse: 0 within the tolerance, else -1; dense: -10 x distance in m. Both readings
-        of the paper exist in the code it builds on (Plappert et al. 2018).
+        """Return 0 within the tolerance, else -1 (sparse), or -10 x distance in m (dense).
+
+        Both readings of the paper exist in the code it builds on (Plappert et al. 2018).
         """
         if self.config.reward == "dense":
             return -10.0 * _distance(achieved_goal, desired_goal)
@@ -260,9 +261,11 @@ class LiftAndHold(Task):
         return np.append(_distance(points, state.object_position), OUTCOMES[outcome])
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether
-        the object fell back before it was lifted or was dropped in the hold test; 1000 for a
-        lift that held; -100 at time-out. Squares are of metres, as the paper has them.
+        """Return the closeness of palm and fingertips until a lift, as the paper does.
+
+        5 more for a failed attempt, whether the object fell back before it was lifted or was dropped
+        in the hold test; 1000 for a lift that held; -100 at time-out. Squares are of metres, as the
+        paper has them.
         """
         closeness = np.exp(-(np.asarray(achieved_goal)[..., :-1] ** 2))
         near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
@@ -301,7 +304,9 @@ class Handover(Task):
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
-        """ValueError where an episode ends before the hold test, or the giver lets go on the way."""
+        """Raise ValueError where an episode ends before the hold test, or the giver lets go on the
+        way.
+        """
         least = cls.waits[1] + cls.stays + cls.settles
         steps, dt = config.max_episode_steps, config.control_dt
         if steps is not None and steps < least:
@@ -360,16 +365,16 @@ class Handover(Task):
 
     @property
     def _since_letting_go(self) -> int:
-        """Actions since the giver let go."""
+        """Number of actions since the giver let go."""
         return self._step - self.sets_off - self.stays
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """1000 for an object that is held in the end, -100 for one that is missed."""
+        """Return 1000 for an object that is held in the end, -100 for one that is missed."""
         return _by_outcome(achieved_goal, 0.0, missed=-100.0, held=1000.0)
 
 
 def _outcome(name: Outcome) -> Array:
-    """A goal of handover."""
+    """Return a goal of handover."""
     return np.array([OUTCOMES[name]])
 
 

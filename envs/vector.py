@@ -58,7 +58,10 @@ class Workers:
 
     @property
     def max_episode_steps(self) -> int | None:
-        """Steps after which an episode is cut off; None where the environment does not say."""
+        """Number of steps after which an episode is cut off.
+
+        None where the environment does not say.
+        """
         limits = [getattr(self.env.unwrapped, "max_episode_steps", None)]
         limits.append(getattr(self.env.spec, "max_episode_steps", None))
         limit = "_max_episode_steps"  # of a TimeLimit
@@ -69,7 +72,7 @@ class Workers:
     def compute_reward(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray
     ) -> np.ndarray:
-        """Rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
+        """Return rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
         ValueError where there is none.
         """
         if not self.env.has_wrapper_attr("compute_reward"):
@@ -78,7 +81,7 @@ class Workers:
         return np.asarray(reward(achieved_goal, desired_goal, {}))
 
     def play(self, job: Job[T], numbers: Iterable[int]) -> Iterator[T]:
-        """Results of `job` for `numbers`, in that order, each as soon as it can be had.
+        """Yield the results of `job` for `numbers`, in that order, each as soon as it can be had.
 
         The workers run ahead. Who has enough stops iterating: what was begun beyond is not wanted
         any more then, and nobody waits for it.
@@ -168,7 +171,7 @@ class RemotePlayer:
         return result
 
     def answer(self, to: Any = None, is_wanted: IsWanted = lambda: True) -> Any:
-        """What comes back from the process; first of all, before anything is sent, None when the
+        """Return what comes back from the process; first of all, before anything is sent, None when the
         environment is made, or what kept it from being made.
         """
         try:
@@ -199,7 +202,7 @@ def _serve(
     set_up: Callable[[], Any],
     modules: Sequence[str],
 ) -> None:
-    """A process's life: do the job it was sent last for the numbers it is sent.
+    """Live as a worker's process: do the job it was sent last for the numbers it is sent.
 
     None means that the number in play is not wanted any more; when it comes too late, it means
     nothing.
@@ -221,7 +224,7 @@ def _serve(
 
 
 def _tried(compute: Callable[..., Any], *args: Any) -> Any:
-    """What it returns, or an exception that survives the way to the other process."""
+    """Return what it returns, or an exception that survives the way to the other process."""
     try:
         return compute(*args)
     except Exception as error:
@@ -233,7 +236,7 @@ def _tried(compute: Callable[..., Any], *args: Any) -> Any:
 
 
 def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Workers:
-    """Up to `workers` workers with an environment each.
+    """Start up to `workers` workers with an environment each.
 
     An environment's ``side_by_side`` says how it may be played in: "threads", "processes", or
     "in turn" where more workers would cost more than they bring. One that does not say gets

@@ -40,7 +40,7 @@ class NamedScene:
     """The scene of the library that it says the differences from."""
 
     def on(self, hand: str) -> dict[str, Any]:
-        """`scene` for a hand: what is relative to the length of fingers in its own m."""
+        """Return `scene` for a hand: what is relative to the length of fingers in its own m."""
         if hand == self.env or not self.scaled:
             return self.scene
         factor = hands.get(hand).finger_length / hands.get(self.env).finger_length
@@ -55,12 +55,15 @@ def names() -> tuple[str, ...]:
 
 
 def gymnasium_id(name: str) -> str:
-    """Of a named scene: dark_mpl is tactilerl/DarkMpl-v0."""
+    """Return the Gymnasium id of a named scene: dark_mpl is tactilerl/DarkMpl-v0."""
     return f"tactilerl/{''.join(word.capitalize() for word in name.split('_'))}-v0"
 
 
 def load(name: str) -> NamedScene:
-    """A scene by name, or from a .toml file; ValueError naming what is wrong, and FileNotFoundError."""
+    """Return a scene by name, or from a .toml file.
+
+    Raises ValueError naming what is wrong, and FileNotFoundError.
+    """
     if not name.endswith(SUFFIX) and name not in names():
         raise ValueError(
             f"scene: found {name!r}, {nearest(name, names())}allowed: {', '.join(names())}, or the "
