@@ -139,7 +139,7 @@ class Task(ABC):
         """Return (achieved, desired goal) of a new episode, each (goal_size,)."""
 
     def before_step(self, simulator: Simulator, step: int) -> None:
-        """Do what others do in the scene before the hand's action number `step`, or at its start (0)."""
+        """Do what others do before the hand's action number `step`, or at the start (0)."""
 
     @abstractmethod
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
