@@ -5,14 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import os
 import platform
 import statistics
-import subprocess
-import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
@@ -79,19 +76,6 @@ def on_one_thread() -> None:
 
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore")
-
-
-def python(*arguments: str, launcher: Sequence[str] = (), checkout: Path = ROOT) -> str:
-    """Return what a new Python process prints, with the code of a checkout.
-
-    A `launcher`, such as mpirun, may start it. Exits where it fails.
-    """
-    environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
-    command = [*launcher, sys.executable, *arguments]
-    done = subprocess.run(command, cwd=checkout, env=environment, stdout=subprocess.PIPE, text=True)
-    if done.returncode:  # it has said why
-        raise SystemExit(done.returncode)
-    return done.stdout
 
 
 def earlier(path: Path | None) -> dict[str, Any]:

@@ -43,7 +43,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "updates": _parts("peers", updates.show, "updates"),
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),
-    "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
+    "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates"),
     "forces": _of("forces", forces.show),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     **{

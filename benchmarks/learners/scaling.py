@@ -1,27 +1,21 @@
 """What does a second core give?
 
-Two processes that share nothing, threads and processes that play episodes, and MPI ranks that learn
-together; the same work with one and with two, in turn. Starts mpirun itself. Prints tables
-and writes JSON:
+Two processes that share nothing, threads and processes that play episodes, and updates; the same
+work with one and with two, in turn. Prints tables and writes JSON:
 
     python -m benchmarks scaling --out docs/data/scaling.json
-    python -m benchmarks scaling --only ranks
+    python -m benchmarks scaling --only updates
 """
 
 from __future__ import annotations
 
-import json
-import sys
-import time
 from contextlib import ExitStack, closing
 from functools import partial
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import torch
 from tactilerl import envs
-from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -34,7 +28,6 @@ from benchmarks.command import (
     markdown,
     per_second,
     processes,
-    python,
     rounds,
     run_parts,
 )
@@ -42,7 +35,6 @@ from benchmarks.learners.random_goals import fed
 from benchmarks.peers.env import Steps, mj_step
 
 REPEATS = 3  # of each number of processes
-CYCLES = 3  # of each rank
 EPISODES = 12  # of a turn
 
 
@@ -114,58 +106,12 @@ def n_updates(learner: PPO | DDPGHER) -> int:
     return int(learner.update()["updates"])
 
 
-def rank_speed() -> None:
-    """Train some cycles on the Shadow Hand on each rank; rank 0 prints how fast they were."""
-    torch.set_num_threads(1)
-    comm = mpi.world()
-    workers = vector.start(lambda: envs.make("shadow", task="reach-goal"))
-    learner = DDPGHER(DDPGHERConfig(), workers, comm, 0, 1)
-    learner.collect()
-    learner.update()
-    comm.all_gather(0)  # start together
-    started, updating = time.perf_counter(), 0.0
-    for _ in range(CYCLES):
-        learner.collect()
-        since = time.perf_counter()
-        learner.update()
-        updating += time.perf_counter() - since
-    comm.all_gather(0)  # and end together
-    seconds, config = time.perf_counter() - started, learner.config
-    transitions = comm.size * CYCLES * config.n_batches * config.batch_size
-    steps = comm.size * CYCLES * config.n_rollouts * learner.replay.max_steps
-    if comm.rank == 0:
-        print(
-            json.dumps(
-                {"transitions_per_s": transitions / updating, "env_steps_per_s": steps / seconds}
-            )
-        )
-    workers.close()
-
-
-def ranks() -> dict[str, Any]:
-    """Measure the same work for each of one and two ranks, in turn."""
-    mpirun = str(Path(sys.executable).with_name("mpirun"))
-    results_of: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
-    for _ in range(REPEATS):
-        for n, results in results_of.items():
-            output = python("-m", "benchmarks.learners.scaling", launcher=(mpirun, "-n", str(n)))
-            results.append(json.loads(output.splitlines()[-1]))
-    result: dict[str, Any] = {"ratios": {}}
-    for key in ("transitions_per_s", "env_steps_per_s"):
-        one, two = (median(r[key] for r in results) for results in results_of.values())
-        result[key] = {"1 rank": one, "2 ranks": two}
-        result["ratios"][f"{key}: 2 ranks / 1 rank"] = two / one
-    return result
-
-
 WORK = {
     "2 / 1": "MuJoCo alone: `mj_step` in two processes that share nothing",
     "shadow in MuJoCo: 2 cores / 1": "collecting, Shadow Hand in MuJoCo (threads)",
     "mpl in PyBullet: 2 cores / 1": "collecting, MPL hand in PyBullet (processes)",
     "PPO: 2 cores / 1": "PPO updates: actor and critic at the same time",
     "DDPG+HER: 2 cores / 1": "DDPG+HER updates: both gradients at the same time",
-    "env_steps_per_s: 2 ranks / 1 rank": "DDPG+HER with two ranks, environment steps",
-    "transitions_per_s: 2 ranks / 1 rank": "DDPG+HER with two ranks, transitions learned from",
 }
 """The words for each ratio."""
 
@@ -181,14 +127,9 @@ PARTS: dict[str, Part] = {
     "limit": (limit, show),
     "collecting": (collecting, show),
     "updates": (updates, show),
-    "ranks": (ranks, show),
 }
 
 
 def main() -> None:
     """Measure all parts, or one."""
-    run_parts(__doc__, PARTS, "mujoco", "pybullet", "torch", "numpy", "mpi4py")
-
-
-if __name__ == "__main__":  # a rank
-    rank_speed()
+    run_parts(__doc__, PARTS, "mujoco", "pybullet", "torch", "numpy")
