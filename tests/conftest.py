@@ -48,15 +48,6 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.skip(reason=NO_PYBULLET))
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_terminal_summary(terminalreporter):
-    """The last line but one says how many tests were skipped without PyBullet."""
-    yield
-    skipped = [r for r in terminalreporter.getreports("skipped") if NO_PYBULLET in str(r.longrepr)]
-    if skipped:
-        terminalreporter.write_line(f"{NO_PYBULLET}: {len(skipped)} tests that need it were skipped")
-
-
 @pytest.fixture(scope="session")
 def launches():
     """Held while MPI is launched: ranks that wait for cores starve, and a launch can fail."""

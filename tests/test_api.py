@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import tactilerl
 import torch
-from tactilerl.envs.toy import PointReachEnv
 from tactilerl.runs import store
 from tactilerl.runs.store import TIMES
 
@@ -66,15 +65,6 @@ def with_nan():
     for parameter in policy.network.parameters():
         parameter.data[:] = math.nan
     return policy
-
-
-def test_numpys_numbers_are_numbers_and_an_action_may_be_a_scalar():
-    env = Short(action=())
-    sizes = {**SHORT, "hidden": [np.int64(8)]}
-    learner = tactilerl.PPO(env, seed=np.int64(3), gamma=np.float32(0.5), **sizes)
-    learner.learn(np.int64(20))
-    assert learner.config.gamma == 0.5
-    assert learner.act(np.zeros(2)).shape == ()
 
 
 def test_pytorchs_own_generator_is_left_alone():
@@ -160,14 +150,6 @@ class TestLearner:
         tactilerl.evaluate(agent.policy(), env, episodes=1)
         agent.close()
         assert (env.steps, env.closed) == (400, 0)
-
-    def test_time_limits_around_an_unregistered_environment_count(self):
-        class Endless(PointReachEnv):
-            max_episode_steps = 10**9
-
-        env = gym.wrappers.TimeLimit(Endless(), 10)
-        agent = tactilerl.DDPGHER(env, **HER)
-        assert agent.learn(1).env_steps == 2 * 10  # one cycle
 
     def test_learning_again_goes_on_and_a_callback_ends_it(self):
         whole, rows = tactilerl.PPO("lqr", **PPO), []

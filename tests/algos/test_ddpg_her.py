@@ -409,20 +409,6 @@ class TestUpdate:
         assert not seeds[0] & seeds[1]
 
 
-def test_the_outermost_wrappers_reward_counts():
-    class Doubled(gym.Wrapper):
-        def step(self, action):
-            obs, reward, *rest = super().step(action)
-            return obs, 2 * reward, *rest
-
-        def compute_reward(self, achieved, desired, info):
-            return 2 * self.unwrapped.compute_reward(achieved, desired, info)
-
-    learner = make(Doubled(GoalEnv()))
-    learner.check()
-    assert set(np.unique(trained(2, learner).replay.sample(50, 0.5).reward)) == {-2.0, 0.0}
-
-
 @pytest.mark.parametrize(
     ("scale", "words"),
     [(1.0, None), (1e3, r"\d+% of the values observed .* ±200"), (1e-4, r"\d+% of the columns")],

@@ -88,13 +88,6 @@ def test_a_gain_never_jumps():
     assert max(gains) <= 5.0
 
 
-def test_columns_as_they_are_are_not_even_cut():
-    as_is = np.array([True, False])
-    stats = Normalizer(2, Communicator(), 5.0, as_is)
-    stats.update(np.full((9, 2), [1e3, 1.0]) + np.arange(9)[:, None])
-    assert stats.scaling()(torch.tensor([[77.0, 77.0]])).tolist() == [[77.0, 5.0]]
-
-
 def test_saved_and_restored():
     stats = block_of([1], 2)
     stats.update(np.random.default_rng(0).random((9, 2)))

@@ -110,11 +110,6 @@ class TestStoring:
         assert batch.obs[:, 1].max() == 2
         assert batch.goal[:, 1].max() == 3
 
-    def test_bytes_for_booleans(self):
-        replay = filled([1])
-        n_rows = 10 * (MAX_STEPS + 1)
-        assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 1)
-
     def test_what_turns_out_not_to_be_boolean_is_kept_as_it_is(self):
         """Also what came before it, and what was saved before it."""
         odd = episode(3)
@@ -149,13 +144,6 @@ class TestSaving:
         assert len(again) == len(whole)
         for a, b in zip(whole.sample(300, 0.8), again.sample(300, 0.8), strict=True):
             np.testing.assert_array_equal(a, b)
-
-    def test_everything_is_handed_out_without_a_copy(self):
-        replay = filled([1, 2, 3])
-        for name, values in replay.new_experience(everything=True).items():
-            if name in replay._columns:
-                assert np.shares_memory(values.numpy(), replay._columns[name])
-                assert values.untyped_storage().nbytes() == values.numpy().nbytes  # all that is saved
 
 
 def test_goal_observation_copies():

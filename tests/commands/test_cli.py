@@ -228,14 +228,6 @@ class TestResume:
         fails_with(capsys, both, "found both", "None unsets")
         assert main([*both, "--minibatch-size", "None", "--total-timesteps", "1", "--out", "six"]) == 0
 
-    def test_a_folder_whose_process_died_at_once_is_begun_anew(self):
-        Path("run").mkdir()
-        for name in (".lock", f".{'0' * 16}.tmp"):
-            Path("run", name).write_text("")
-        assert main([*TOY, "--total-timesteps", "120", "--out", "run"]) == 0
-        assert Path("run/checkpoint.pt").exists()
-        assert not Path("run", f".{'0' * 16}.tmp").exists()
-
 
 class TestBadInput:
     @pytest.mark.parametrize(

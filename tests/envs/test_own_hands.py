@@ -11,7 +11,6 @@ import tactilerl
 from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, validation
-from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import hand_map
 from tactilerl.runs.store import RunDir
 
@@ -106,13 +105,6 @@ class TestHand:
         env.reset(seed=0)
         assert env.observation_space.contains(env.step(np.zeros(env.action_space.shape))[0])
 
-    def test_parts_of_links_need_no_names(self, own, simulator):
-        part = "<body><geom type='sphere' size='0.003' mass='0.001'/></body>"
-        own('<body name="left_1"', f'{2 * part}<body name="left_1"', "gripper.xml")
-        env = GraspEnv(own(), setup(own(), simulator=simulator))
-        env.reset(seed=0)
-        assert not env.step(np.zeros(env.action_space.shape))[-1]["diverged"]
-
     @pytest.mark.parametrize(("file", "old", "new", "complaint"), WRONG)
     def test_what_is_wrong_is_one_line(self, own, file, old, new, complaint, capsys):
         path = own(old, new, f"gripper.{file}")
@@ -199,15 +191,6 @@ class TestTaxelFiles:
         inside = first._replace(position=(0.0, 0.0, 0.01), radius=0.001)
         layout = layouts.Layout("inside", "", (), (inside, *others))
         assert hand_map.off_skin(shadow, layout.place(shadow)) == [inside.name]
-
-    def test_a_patch_without_digits_and_segments_is_on_all(self, tmp_path):
-        path = tmp_path / "all.toml"
-        path.write_text("[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n")
-        layout = layouts.load(str(path))
-        hand = hands.get(GRIPPER)
-        assert len(layout.place(hand)) == 6
-        path.write_text(layout.toml())
-        assert layouts.load(str(path)) == layout
 
 
 class TestCommands:

@@ -152,21 +152,6 @@ def test_an_error_comes_at_its_place_and_the_job_before_it_can_be_played_again(t
     assert list(two.play(fails_at_three, [5, 4])) == [5, 4]
 
 
-class Unpicklable(Exception):
-    def __init__(self, one, two):
-        super().__init__(one)
-
-
-def fails_strangely(env, number, is_wanted):
-    raise Unpicklable(1, 2)
-
-
-def test_an_error_that_cannot_travel_is_told_all_the_same():
-    raised = pytest.raises(RuntimeError, match="Unpicklable: 1")
-    with closing(vector.start(Plain, 2)) as workers, raised:
-        list(workers.play(fails_strangely, range(2)))
-
-
 def kill_itself(env, number, is_wanted):
     os.kill(os.getpid(), signal.SIGKILL)
 

@@ -6,7 +6,6 @@ import json
 import os
 import pickle
 import random
-import shlex
 import shutil
 import signal
 import subprocess
@@ -181,12 +180,6 @@ class TestProgress:
         assert TABLE.read_bytes() == bad
         assert (CHECKPOINT.read_bytes(), CONFIG.read_bytes()) == before
 
-    def test_a_table_that_was_moved_away_begins_anew(self, ppo):
-        TABLE.unlink()
-        assert main([*RESUME, "--total-timesteps", "240"]) == 0
-        assert main([*RESUME, "--total-timesteps", "300"]) == 0
-        assert [line.split(",")[0] for line in TABLE.read_text().splitlines()] == ["epoch", "4", "5"]
-
 
 class TestWriting:
     @pytest.mark.parametrize("name", ["checkpoint.pt.tmp", "config.json.tmp", ".lock", "progress.csv"])
@@ -219,13 +212,6 @@ class TestWriting:
             with pytest.raises(InputError, match="cannot write"), files.replacing(tmp_path / path):
                 pass
         assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-    @pytest.mark.parametrize("name", ["my run", "-x"])
-    def test_hints_can_be_pasted(self, ppo, capsys, monkeypatch, name):
-        shutil.copytree("run", f"./{name}")
-        hint = f"tactilerl train --resume {files.pasted(name)}"
-        out = printed(capsys, shlex.split(hint)[1:])
-        assert f"tactilerl evaluate {files.pasted(name)}" in out
 
 
 class TestReading:

@@ -44,14 +44,6 @@ class TestGrid:
         assert runs[0].name == "reach_batch_size-16_polyak-0.9_s0"
         assert len({run.name for run in runs}) == len(runs) == 14
 
-    def test_settings_and_groups(self, tmp_path):
-        reach, ppo = read(tmp_path, GOOD).setups
-        assert reach.settings == ["batch size 16", "batch size 32"]
-        assert reach.groups == ["0.95", "0.9"]  # the treatment first
-        assert ppo.settings == ["all"]
-        assert reach.measure == "test_success_rate"
-        assert ppo.measure == "success_rate"
-
     def test_flags_become_those_of_train(self, tmp_path):
         study = read(tmp_path, GOOD)
         configs = {run.name: run.config() for run in study.runs()}
