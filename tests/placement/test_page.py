@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,3 +192,9 @@ def test_a_page_that_is_too_large_is_refused(design, monkeypatch):
     monkeypatch.setattr(page, "MOST_BYTES", 1_000)
     with pytest.raises(ValueError, match="out: found a page of"):
         page.page(design[0])
+
+
+def test_the_page_in_the_docs_is_of_today():
+    template = page.TEMPLATE.read_text().split("@DATA@")
+    shown = (Path(__file__).parents[2] / "docs/assets/design.html").read_text()
+    assert [shown[: len(template[0])], shown[-len(template[1]) :]] == template
