@@ -23,7 +23,7 @@ from ..state import Array
 from . import model_file, mount
 from .geometry import gap, geoms_of, meet, placed, posed, unit
 from .hand import DIGITS
-from .parts import Angles, HandFile, Parts
+from .parts import Angles, HandFile, Parts, between
 
 WORDS = {
     "thumb": "thumb th pollex",
@@ -46,7 +46,7 @@ NEARER = 5e-3  # m
 ALONE = 0.5  # cosine by which a thumb goes another way than the other digits do
 BEYOND = 0.5  # of the way of a finger's first joint, what those beyond it go
 HALF_OPEN, OPENING = 0.5, 0.11
-"""How open a hand is at least, and m between its thumb and fingers."""
+"""Least share of opening at the start, and distance between thumb and fingers there, m."""
 PARALLEL = 0.7  # cosine between axes of a thumb's joints that flex
 TURNED = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
 NEARLY = 0.75, 1.0  # shares of their way on which fingers lie in front of the palm
@@ -303,7 +303,7 @@ class Guess:
         where they lie all around, that is across the way on which they close.
         """
         most = self.stop if self.thumb is None else 1.0
-        closing = [self.tips(_between(*self.bent, most * share)) for share in NEARLY]
+        closing = [self.tips(between(*self.bent, most * share)) for share in NEARLY]
         closed = np.mean(closing, axis=0)[self.fingers].mean(axis=0)
         palmar = max(AXES, key=lambda axis: axis @ closed - max(self.palm_skin @ axis))
         opened = self.tips({})[self.fingers]
@@ -352,7 +352,7 @@ class Guess:
             pairs += [(*pair, DEEP) for pair in product(first.links, second.links)]
 
         def is_deep(share: float) -> Array:
-            data = self.posed(_between(*self.bent, share))
+            data = self.posed(between(*self.bent, share))
             gaps = [gap(self.compiled, data, a, b) + depth for a, b, depth in pairs]
             return np.array(gaps) < 0
 
@@ -367,9 +367,9 @@ class Guess:
     def poses(self) -> dict[str, Angles]:
         """Joint angles by title: open and closed, the fingers until they touch, the thumb so that it
         meets them; and the start, where an object just fits in."""
-        opened, closed = self.bent[0].copy(), _between(*self.bent, self.stop)
+        opened, closed = self.bent[0].copy(), between(*self.bent, self.stop)
         if self.thumb is not None:
-            half = _between(opened, closed, 0.5)
+            half = between(opened, closed, 0.5)
             opposed = self._opposed(self.thumb, half)
             pose = opposed | half
             axes = {j: self.turning(self.thumb, j, pose) for j in opposed}
@@ -384,7 +384,7 @@ class Guess:
         """Return the pose on the way from closed to open in which an object just fits in."""
         first = self.thumb or 0
         for share in np.arange(HALF_OPEN, 1.0, 1 / STEPS):
-            tips = self.tips(pose := _between(closed, opened, float(share)))
+            tips = self.tips(pose := between(closed, opened, float(share)))
             others = np.delete(tips, first, axis=0).mean(axis=0)
             if np.linalg.norm(tips[first] - others) > OPENING:
                 return pose
@@ -429,13 +429,6 @@ class Guess:
             lines += ["", f"[{title}]"]
             lines += [f"{quoted(joint)} = {angle:.4f}" for joint, angle in pose.items()]
         return "\n".join(lines) + "\n"
-
-
-def _between(opened: Angles, closed: Angles, share: float) -> Angles:
-    return {
-        joint: opened[joint] + share * (end - opened[joint])
-        for joint, end in closed.items()
-    }
 
 
 def _middle(points: Array) -> Array:

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 FOLDER, SUFFIX = Path(__file__).parent, ".toml"
 RADIUS = 2e-3  # m, of taxels of which nothing says it
 KEPT = ".grasp.toml"
-"""In place of SUFFIX: where a command keeps a grasp that it has found for a file without one."""
+"""Suffix in place of SUFFIX where a command keeps a grasp that it has found for a file without one."""
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """The first joints and actuators: they carry the whole hand along the world's axes."""
 ARM, FINGERS = slice(len(SLIDES)), slice(len(SLIDES), None)
 """The slides, and all others, among a hand's joints or actuators."""
 DIGITS = ("thumb", "index", "middle", "ring", "little")
-"""What digits of hands with up to five are usually called."""
+"""Usual names of up to five digits."""
 SEGMENTS = ("proximal", "middle", "distal")
-"""What three segments of a digit are called."""
+"""Names of three segments of a digit."""
 CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
 
 
@@ -43,7 +43,7 @@ class Surface:
     digit: str
     """Which; for the palm, the finger whose base it is, or "palm"."""
     segment: str
-    """Which segment of the digit, or "palm"."""
+    """Segment of the digit, or "palm"."""
     link: str
     """Body the taxels ride on."""
     centre: tuple[float, float, float]
@@ -57,13 +57,14 @@ class Surface:
     bone: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     """Both ends of the axis of the capsule that is the link's shape, m; None for other shapes."""
     geoms: tuple[Geom, ...] = ()
-    """What the link is made of, where it is neither one capsule nor flat."""
+    """Shapes of the link, where it is neither one capsule nor flat."""
     extent: tuple[float, float] = (9e-3, 9e-3)
-    """Of a surface that is no cylinder: half its length and half its width, m."""
+    """Half the length and half the width of a surface that is no cylinder, m."""
 
     def place(self, row: float, column: float) -> tuple[Array, Array]:
-        """Position and outward normal in the link frame, each (3,), of a taxel `row` and `column`
-        metres off centre.
+        """Return position and outward normal in the link frame, each (3,), of a taxel.
+
+        It is `row` and `column` metres off centre.
 
         The flat grid is projected on to the link along the palmar normal, so that the paper's
         pitches hold in the plane they are given in. Raises ValueError when that lies beside the link.
@@ -75,8 +76,8 @@ class Surface:
         if self.geoms:
             from .geometry import meet
 
-            if found := meet(self.geoms, above, -palmar):
-                return found
+            if met := meet(self.geoms, above, -palmar):
+                return met
             raise ValueError(
                 f"a taxel {1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside the middle of "
                 f"{self.digit}.{self.segment} lies beside the link: found nothing there, allowed "
@@ -96,7 +97,7 @@ class Surface:
         ) / self.radius
 
     def is_gap(self, row: float, column: float) -> bool:
-        """Has a link of any shape nothing there? (Beside other links no taxel may be.)"""
+        """Return whether a link of any shape has nothing there. (No taxel may be beside others.)"""
         try:
             self.place(row, column)
         except ValueError:
@@ -109,13 +110,13 @@ class Surface:
         return np.cross(np.array(self.palmar), np.array(self.along))
 
     def offset(self, position: Array) -> tuple[float, float, float]:
-        """(row, column, height over the grid's middle) in m of a point (3,) in the link frame."""
+        """Return (row, column, height over the grid's middle), m, of a point (3,) of the link."""
         axes = np.array([self.along, self.across, self.palmar])
         row, column, height = axes @ (position - np.array(self.centre))
         return float(row), float(column), float(height)
 
     def skin(self, point: Array) -> tuple[float, Array]:
-        """How far a point (3,) in the link frame is outside of the link's skin, m, negative within; and
+        """Return how far a point (3,) in the link frame is outside of the skin, m, negative within, and
         the outward normal (3,) there."""
         if self.geoms:
             from .geometry import outside
@@ -164,11 +165,11 @@ class LinearAction:
     half_range: Array
 
     def __call__(self, action: Array, joint_targets: Array) -> Array:
-        """New joint targets, shape (n_actuators,), from an action in [-1, 1] of the same shape."""
+        """Return new joint targets (n_actuators,) from an action in [-1, 1] of the same shape."""
         return self.centre + action * self.half_range
 
     def commands(self, joint_targets: Array) -> Array:
-        """What each action has asked for last: the targets themselves."""
+        """Return what each action has asked for last: the targets themselves."""
         return joint_targets
 
 
@@ -188,7 +189,7 @@ class ClosingAction:
     slide_limits: Array
     """(3, 2) lowest and highest target of each slide, m; (0, 2) likewise."""
     closing_step: float
-    """How far an action of 1 closes a group; 1 is from open to closed."""
+    """Share of the way from open to closed by which an action of 1 closes a group."""
     groups: tuple[Array, ...]
     """For each action after the slides', the actuators that it moves."""
     open: Array
@@ -197,7 +198,7 @@ class ClosingAction:
     """(n_actuators,) targets at the closed end."""
 
     def __call__(self, action: Array, joint_targets: Array) -> Array:
-        """New joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
+        """Return new joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
         targets, n_slides = joint_targets.copy(), len(self.slide_step)
         moved = targets[:n_slides] + self.slide_step * action[:n_slides]
         targets[:n_slides] = np.clip(
@@ -213,8 +214,8 @@ class ClosingAction:
         return targets
 
     def commands(self, joint_targets: Array) -> Array:
-        """What each action has asked for last: the slides' targets, m, and how far each group is to be
-        closed."""
+        """Return what each action has asked for last: the slides' targets, m, and how far each group is
+        to be closed."""
         return np.concatenate(
             [joint_targets[: len(self.slide_step)], self._closing(joint_targets)]
         )
@@ -244,7 +245,7 @@ class Point(NamedTuple):
     normal: tuple[float, ...]
     """(3,), unit, outward; () until it is placed, where that of the nearest skin is meant."""
     radius: float
-    """Of its sensing sphere, m."""
+    """Radius of its sensing sphere, m."""
     name: str
     threshold_N: float | None = None
     """Force from which it fires, N; None: any touch."""
@@ -267,11 +268,11 @@ class Frame(NamedTuple):
     """(3,), m"""
 
     def direction(self, vector: Any) -> Any:
-        """Of the link, from one of the body."""
+        """Return a direction (3,) in the link's frame from one in the body's."""
         return tuple((self.turn @ vector).tolist())
 
     def point(self, point: Any) -> tuple[float, ...]:
-        """Likewise."""
+        """Return a point (3,), m, in the link's frame from one in the body's."""
         return tuple((self.turn @ point + self.place).tolist())
 
 
@@ -283,10 +284,10 @@ class Coupling(NamedTuple):
     ratio: float
     offset: float = 0.0
     is_rigid: bool = False
-    """By an equality: it follows where its driver is. By a tendon it follows where that is to be."""
+    """True by an equality: it follows where its driver is; by a tendon, where that is to be."""
 
     def at(self, driver: float) -> float:
-        """Its position where its driver is there."""
+        """Return its position where its driver is there."""
         return self.ratio * driver + self.offset
 
 
@@ -342,7 +343,7 @@ class Hand:
     action_map: LinearAction | ClosingAction
     action_names: tuple[str, ...]
     couplings: tuple[Coupling, ...] = ()
-    """Of joints that move with actuated ones."""
+    """Couplings of joints that move with actuated ones."""
     first_joints: tuple[str, ...] = ()
     """The joint that stands for each digit in the observation term "finger_joints"."""
     start: dict[str, float] = field(default_factory=dict)
@@ -363,11 +364,11 @@ class Hand:
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """The actuators that close together, each in one group, by what that is called."""
     notes: tuple[str, ...] = ()
-    """What to know of it: what was left out or put in of its model, and what it cannot do."""
+    """Notes on what was left out or put in of its model, and what it cannot do."""
     finger_length: float = 0.1
-    """Of its longest digit, from knuckle to tip, m."""
+    """Length of its longest digit, from knuckle to tip, m."""
     reach: float = 0.15
-    """How far its fingertips get from the palm's point, m."""
+    """Largest distance of its fingertips from the palm's point, m."""
     sensors: tuple[Point, ...] = ()
     """The touch sensors that its model has."""
     welded: dict[str, Frame] = field(default_factory=dict)
@@ -376,8 +377,8 @@ class Hand:
     """Fingers at whose bases no object is handed over: it comes to the middle of the others'."""
 
     def closing_from(self, start: float, actions: str) -> Hand:
-        """The hand with its slides standing still and fingers that close and open again, from where
-        they are `start` of the way from open to closed: all by one action ("grip") or group by group
+        """Return the hand with slides that stand still and fingers that close and open, from where they
+        are `start` of the way from open to closed: all by one action ("grip") or group by group
         ("fingers")."""
         action, names = (
             self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP),
@@ -399,7 +400,7 @@ class Hand:
     def closing(
         self, slide_step: Array, slide_limits: Array, closing_step: float
     ) -> ClosingAction:
-        """Actions that close and open its groups; see there."""
+        """Return actions that close and open its groups."""
         driven = [*zip(self.actuators, self.actuated, strict=True)]
         opened, closed = (
             np.array(
@@ -408,14 +409,15 @@ class Hand:
             for ends in (self.opened, self.closed)
         )
         groups = tuple(
-            np.array([*map(self.actuators.index, own)]) for own in self.groups.values()
+            np.array([*map(self.actuators.index, names)])
+            for names in self.groups.values()
         )
         return ClosingAction(
             slide_step, slide_limits, closing_step, groups, opened, closed
         )
 
     def start_above(self, width: float, height: float) -> Hand:
-        """The hand as it starts over an object of these measures, m.
+        """Return the hand as it starts over an object of these measures, m.
 
         What is wider than `start_clearance` does not lie free between the fingers. Nothing of the
         hand is below the ground at the start, so raised by the object's height it is free of the
@@ -429,11 +431,11 @@ class Hand:
         )
 
     def start_positions(self) -> Array:
-        """Joint positions at reset in the order of ``joints``, shape (n_joints,)."""
+        """Return joint positions at reset in the order of ``joints``, shape (n_joints,)."""
         return np.array([self.start.get(joint, 0.0) for joint in self.joints])
 
     def start_targets(self) -> Array:
-        """Joint targets that hold the start pose, shape (n_actuators,)."""
+        """Return joint targets that hold the start pose, shape (n_actuators,)."""
         return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
 
     @property

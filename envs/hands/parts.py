@@ -1,4 +1,4 @@
-"""What a hand's file says, and what of its model it means: palm, digits, joint angles."""
+"""The content of a hand's file, and what of its model it means: palm, digits, joint angles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
 
 SLACK = 1e-3  # rad or m that an angle may be beyond a joint's range
 Angles = dict[str, float]
-"""By joint, rad or m."""
+"""Angles by joint, rad or m."""
 Names = tuple[str, ...]
 Metres = Annotated[float, "[-1, 1]"]
 Near = tuple[Metres, Metres, Metres]
@@ -37,13 +37,13 @@ class DigitTable:
     """One of [digits]."""
 
     links: Names
-    """From knuckle to tip."""
+    """Links from knuckle to tip."""
     tip: Vector
-    """In the frame of the last link, m."""
+    """Fingertip in the frame of the last link, m."""
     palmar: Vector | tuple[Vector, ...] | None = None
     """Palmar direction of all links, or of each."""
     base: Vector | None = None
-    """Where on the palm it begins, m."""
+    """Place on the palm where it begins, m."""
     base_link: str | None = None
     """The body in whose frame that is; default: the palm."""
 
@@ -59,7 +59,7 @@ class Follows:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a point of the palm hangs at the start, m."""
+    """The place of a point of the palm at the start, m."""
 
     of: Near | None = None
     at: Near | None = None
@@ -138,11 +138,11 @@ class HandFile:
 
 
 class Digit(NamedTuple):
-    """From knuckle to tip."""
+    """A digit, from knuckle to tip."""
 
     links: tuple[str, ...]
     tip: tuple[float, ...]
-    """In the frame of the last link, m."""
+    """Fingertip in the frame of the last link, m."""
     sides: tuple[Array | None, ...]
     """Palmar directions of the links, each in its frame, where the file has them."""
 
@@ -161,7 +161,7 @@ class Parts:
 
     @property
     def is_own(self) -> bool:
-        """Whether it is anybody's own hand. The library's are as they have always been."""
+        """True for anybody's own hand. The library's are as they have always been."""
         return self.folder != FOLDER
 
     @cached_property
@@ -299,7 +299,7 @@ class Parts:
 
     @cached_property
     def own_couplings(self) -> tuple[Coupling, ...]:
-        """Those of the file."""
+        """Couplings of the file."""
         for joint, about in self.file.couplings.items():
             self.angles({joint: 0, about.follows: 0}, "couplings", False)
         return tuple(
@@ -309,7 +309,7 @@ class Parts:
 
     @cached_property
     def follows(self) -> tuple[Coupling, ...]:
-        """Of joints that follow others, those of the file first: each by what moves them all."""
+        """Couplings of all joints that follow others, those of the file first, by what moves them."""
         couplings = (*self.own_couplings, *mount.followed(self.spec))
         found = {each.joint: each for each in couplings}
         for driver, name in self.driven.items():
@@ -415,10 +415,7 @@ class Parts:
 
     def at(self, share: float) -> Angles:
         """Return the angles at a share of the way from open to closed."""
-        return {
-            joint: self.opened[joint] + share * (end - self.opened[joint])
-            for joint, end in self.closed.items()
-        }
+        return between(self.opened, self.closed, share)
 
     def pose(self, share: float) -> Angles:
         """Return the angles of all joints at a share of the way from open to closed, the others as at
@@ -428,7 +425,7 @@ class Parts:
 
     @cached_property
     def start(self) -> Angles:
-        """As the file says, part of the way to closed, or open; followers follow."""
+        """Angles at the start: as the file says, part of the way to closed, or open."""
         if self.file.start is not None:
             angles = self.angles(self.file.start, "start")
         else:
@@ -490,7 +487,7 @@ class Parts:
 
     @cached_property
     def palm_point(self) -> tuple[float, ...]:
-        """In its frame, m."""
+        """The palm's point in its frame, m."""
         return self.palm_frame.point(self.file.palm_point)
 
     @cached_property
@@ -507,6 +504,14 @@ class Parts:
                 "fingers: found the direction of palmar, expected one along the palm"
             )
         return beside(fingers, self.palmar)
+
+
+def between(opened: Angles, closed: Angles, share: float) -> Angles:
+    """Return the closed joints' angles at a share of the way from open to closed."""
+    return {
+        joint: opened[joint] + share * (end - opened[joint])
+        for joint, end in closed.items()
+    }
 
 
 def require_distinct(names: Names, where: str) -> None:

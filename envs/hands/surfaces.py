@@ -1,5 +1,5 @@
-"""Where taxels may lie: the palmar sides of the links that a hand's file names; and the touch sensors
-that a model has of its own, as taxels on links."""
+"""Places for taxels: the palmar sides of the links that a hand's file names; and the touch sensors that
+a model has of its own, as taxels on links."""
 
 from __future__ import annotations
 
@@ -132,10 +132,10 @@ def _palmar(
         ]
 
     above = mount.chain(parts.spec.body(links[0]))[-2::-1]
-    own, carrying = moves(links[:1], mount.HINGE), moves(above, mount.HINGE)
-    for move in own + moves(links[1:], mount.HINGE) + carrying:
+    bending, carrying = moves(links[:1], mount.HINGE), moves(above, mount.HINGE)
+    for move in bending + moves(links[1:], mount.HINGE) + carrying:
         axis = unit(move, links[0])
-        axis = -axis if axis @ sum(own + carrying, np.zeros(3)) < 0 else axis
+        axis = -axis if axis @ sum(bending + carrying, np.zeros(3)) < 0 else axis
         if np.linalg.norm(np.cross(axis, along)) > 0.5:
             along = beside(along, axis)
             return unit(np.cross(axis, along), links[0]), along
