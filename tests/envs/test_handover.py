@@ -54,6 +54,15 @@ class TestGiver:
             np.testing.assert_allclose(sim.state().object_position, position, atol=2.4e-3)
         assert position[2] - start[2] > 0.03
 
+    def test_presses_with_as_much_as_is_asked_for(self):
+        for force in (0.32, 1.5):
+            env = make(giver_force=force, object_size=(0.04,), **STILL)
+            env.reset(seed=0)
+            for _ in range(env.task.sets_off + 8):
+                env.step_to(env.hand.start_targets())
+            pressed = env.simulator.state().contacts.forces.sum()
+            assert pressed == pytest.approx(force, rel=0.15)  # the hand gives way a little
+
     def test_after_letting_go_the_object_falls_freely(self, simulator):
         env = make(simulator=simulator)
         env.reset(seed=0)

@@ -31,6 +31,13 @@ WRONG = [
     ({"touch": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with touch on"),
     ({"touch_rule": "force", "taxel_stuck": 0.1}, "taxel_stuck: .* only with Boolean taxels"),
     ({"touch_rule": "force", "taxel_false_on": 0.1}, "taxel_false_on: .* only with Boolean taxels"),
+    ({"taxel_threshold": 0.1, "touch": "off"}, "taxel_threshold: .* only with touch on"),
+    (
+        {"taxel_threshold": 0.1, "touch_rule": "contact"},
+        "taxel_threshold: .* only with touch_rule skin",
+    ),
+    ({"taxel_threshold": 0.1, "taxel_release": 0.2}, "taxel_release: .* allowed up to taxel_threshold"),
+    ({"giver_force": 1.0}, "giver_force: found 1.0, allowed only with task handover"),
     ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
     ({"object": "box,cylinder", "object_size": ("0.04..0.05", 0.05)}, "object_size: found 2 numbers"),
     ({"object_size": "0.05..0.04"}, r"object_size: found '0.05..0.04', allowed a number or LOW..HIGH"),
