@@ -60,12 +60,12 @@ OTHERS: dict[str, Any] = {}
 
 @dataclass(frozen=True)
 class Usage:
-    """What a hand's file says of the scenes it is used in."""
+    """Values that a hand's file has for the scenes it is used in."""
 
     id: str = ""
-    """Of its environment in Gymnasium's registry; by name it is `make(name)`."""
+    """Id of its environment in Gymnasium's registry; by name it is `make(name)`."""
     scene: dict[str, Any] = field(default_factory=dict)
-    """Where its scene differs from the defaults of `GraspConfig`."""
+    """Fields of its scene that differ from the defaults of `GraspConfig`."""
 
 
 def is_hand(name: str) -> bool:
