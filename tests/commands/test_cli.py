@@ -284,7 +284,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("args", "way", "words"),
         [
-            (["env"], "foo", "MUJOCO_GL: found 'foo'"),
+            (["env"], "foo", "invalid value for environment variable MUJOCO_GL: foo"),
             (["render", "--layout", "1"], "glfw", "MuJoCo cannot draw here; without a display"),
         ],
     )
@@ -295,15 +295,15 @@ class TestBadInput:
         assert done.stderr.startswith(f"tactilerl: error: {words}"), done.stderr
         assert done.stderr.count("\n") == 1
 
-    def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):
+    def test_an_environment_that_breaks_when_it_is_made(self, monkeypatch):
         monkeypatch.setattr(plugins, "imported", [])
         Path("broken.py").write_text(
             "import gymnasium as gym\n\n\nclass Broken(gym.Env):\n    def __init__(self):\n"
             '        assert "joint" in ()\n\n\ngym.register("Broken-v0", Broken)\n'
         )
         monkeypatch.syspath_prepend(".")
-        words = "cannot be made here (AssertionError"
-        fails_with(capsys, ["train", "--env", "broken:Broken-v0"], words)
+        with pytest.raises(AssertionError):  # the person's own error keeps its traceback
+            main(["train", "--env", "broken:Broken-v0"])
 
     def test_existing_run_folder_is_kept(self, capsys):
         Path("mine").mkdir()
@@ -354,7 +354,7 @@ class TestOtherCommands:
 
     def test_a_layouts_notes_are_shown(self, capsys):
         Path("far.toml").write_text(
-            '[[patch]]\ndigits = ["thumb", "index"]\nsegments = ["distal", "palm"]\n'
+            'partial = true\n[[patch]]\ndigits = ["thumb", "index"]\nsegments = ["distal", "palm"]\n'
             "offsets_mm = [[0, 0], [30, 0]]\nradius_mm = 2\n"
         )
         scene = ["--env", "shadow", "--layout", "far.toml"]

@@ -32,6 +32,7 @@ WORDS += ["../x:Id", "no.module:Id", ":", "é", "\udcff", "x" * 5000, "../..", "
 VALUES = [None, True, -1, 0, 1.5, 10**400, 2**63, float("inf"), float("nan"), "", "x", "../x:Id"]
 VALUES += [[], {}, [[]], ["x"], {"x": 1}, "x" * 5000]
 LAYOUT = """description = "mine"
+partial = true
 [[patch]]
 digits = ["thumb", "index"]
 segments = ["distal", "palm"]
