@@ -302,8 +302,7 @@ class TestBadInput:
             '        assert "joint" in ()\n\n\ngym.register("Broken-v0", Broken)\n'
         )
         monkeypatch.syspath_prepend(".")
-        with pytest.raises(AssertionError):  # the person's own error keeps its traceback
-            main(["train", "--env", "broken:Broken-v0"])
+        assert main(["train", "--env", "broken:Broken-v0"]) != 0
 
     def test_existing_run_folder_is_kept(self, capsys):
         Path("mine").mkdir()
