@@ -9,6 +9,8 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import traceback
 from functools import partial
 from importlib import import_module
@@ -98,7 +100,8 @@ def _meant(name: str, known: tuple[str, ...]) -> str:
     if name in scenes.names():
         return f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
     if name not in gym.registry and find_spec(ROBOTICS):
-        import_module(ROBOTICS)  # which registers its environments
+        with contextlib.redirect_stderr(io.StringIO()):  # it prints what is new
+            import_module(ROBOTICS)  # which registers its environments
         if name in gym.registry:
             return f"did you mean {ROBOTICS}:{name}? "
     return nearest(name, known)

@@ -89,13 +89,6 @@ def _run(args: list[str]) -> int:
     except KeyboardInterrupt as error:
         _say("interrupted", error)
         return 130
-    except Exception as error:
-        if _is_of_importing_mujoco(error):
-            found = f"MUJOCO_GL: found {os.environ['MUJOCO_GL']!r}"
-            reason = f"{found}, which does not work here ({error}); install its library"
-            _say("error", f"{reason}, or unset it where nothing is drawn")
-            return BAD_INPUT
-        raise
 
 
 def _call(name: str, args: list[str], modules: list[str]) -> int:
@@ -109,10 +102,18 @@ def _call(name: str, args: list[str], modules: list[str]) -> int:
 
         with input_errors():
             plugins.import_modules(modules)
-    return int(import_module(f".{name}", __package__).main(args))
+    try:
+        return int(import_module(f".{name}", __package__).main(args))
+    except Exception as error:
+        if not _is_of_importing_mujoco(error.__cause__ or error):
+            raise
+        raise InputError(
+            f"MUJOCO_GL: found {os.environ['MUJOCO_GL']!r}, which does not work here ({error}); "
+            "install its library, or unset it where nothing is drawn"
+        ) from error
 
 
-def _is_of_importing_mujoco(error: Exception) -> bool:
+def _is_of_importing_mujoco(error: BaseException) -> bool:
     """Return whether MuJoCo could not be imported, for the way to draw that was asked for."""
     if "mujoco" in sys.modules or "MUJOCO_GL" not in os.environ:
         return False

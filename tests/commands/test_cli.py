@@ -284,7 +284,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("args", "way", "words"),
         [
-            (["env"], "foo", "invalid value for environment variable MUJOCO_GL: foo"),
+            (["env"], "foo", "MUJOCO_GL: found 'foo'"),
             (["render", "--layout", "1"], "glfw", "MuJoCo cannot draw here; without a display"),
         ],
     )
@@ -295,14 +295,19 @@ class TestBadInput:
         assert done.stderr.startswith(f"tactilerl: error: {words}"), done.stderr
         assert done.stderr.count("\n") == 1
 
-    def test_an_environment_that_breaks_when_it_is_made(self, monkeypatch):
+    def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):
+        """One line of ours, and below it what the person's own code raised."""
         monkeypatch.setattr(plugins, "imported", [])
         Path("broken.py").write_text(
             "import gymnasium as gym\n\n\nclass Broken(gym.Env):\n    def __init__(self):\n"
             '        assert "joint" in ()\n\n\ngym.register("Broken-v0", Broken)\n'
         )
         monkeypatch.syspath_prepend(".")
-        assert main(["train", "--env", "broken:Broken-v0"]) != 0
+        assert main(["train", "--env", "broken:Broken-v0"]) == 2
+        line, _, own = capsys.readouterr().err.partition("\n")
+        assert line.startswith("tactilerl: error: ")
+        assert "cannot be made here (AssertionError" in line
+        assert 'broken.py", line 6, in __init__' in own
 
     def test_existing_run_folder_is_kept(self, capsys):
         Path("mine").mkdir()
