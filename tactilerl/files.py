@@ -52,9 +52,9 @@ def damage_named(
             raise
         raise InputError(missing) from None
     except InputError as error:
-        raise (
-            error if str(path) in str(error) else InputError(f"{path}: {error}")
-        ) from error
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
     except Exception as error:  # parsers answer garbage with errors of any kind
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
         raise InputError(
