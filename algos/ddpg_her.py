@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from . import Array, Count, Fraction, NotNegative, Positive32, rollout
-from .learner import Learner, restore, set_lr
+from .learner import Learner, restore
 from .mpi import Communicator
 from .networks import MLP, flushed_denormals, require_hidden
 from .normalizer import MIN_STD, Normalizer, Scaling
@@ -305,8 +305,7 @@ class DDPGHER(Learner):
         self.replay.rng = np.random.default_rng(key)  # whatever came before
         remaining = self.progress_remaining
         if config.anneal_lr:
-            set_lr(self.actor_adam, remaining * config.actor_lr)
-            set_lr(self.critic_adam, remaining * config.critic_lr)
+            self.anneal(self.actor_adam, self.critic_adam)
         if config.anneal_action_l2:
             self._action_l2 = remaining * config.action_l2
         player = self._player(rollout.TRAIN)

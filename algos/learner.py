@@ -124,7 +124,14 @@ class Learner(ABC):
     def adam(self, parameters: list[nn.Parameter], lr: float) -> torch.optim.Adam:
         """Return Adam (Kingma & Ba 2014) on `parameters`."""
         is_fused = self.device.type in ("cpu", "cuda")
-        return torch.optim.Adam(parameters, lr, fused=is_fused)
+        group = {"params": parameters, "initial_lr": lr}
+        return torch.optim.Adam([group], lr, fused=is_fused)
+
+    def anneal(self, *adams: torch.optim.Adam) -> None:
+        """Set learning rates to what is left of the run, from 1 to 0, times those at its start."""
+        for adam in adams:
+            for group in adam.param_groups:
+                group["lr"] = self.progress_remaining * group["initial_lr"]
 
     def sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""
@@ -204,12 +211,6 @@ def second_thread() -> ThreadPoolExecutor:
         torch.set_flush_denormal(True)
 
     return ThreadPoolExecutor(1, initializer=set_up)
-
-
-def set_lr(adam: torch.optim.Adam, lr: float) -> None:
-    """Set the learning rate of all parameters."""
-    for group in adam.param_groups:
-        group["lr"] = lr
 
 
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:

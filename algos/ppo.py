@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from . import Array, Count, Fraction, Positive32, rollout
-from .learner import Learner, restore, set_lr
+from .learner import Learner, restore
 from .mpi import Communicator
 from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
 from .normalizer import Normalizer
@@ -294,10 +294,7 @@ class PPO(Learner):
         """Play whole episodes until `steps_per_epoch` are there: the same ones on all ranks."""
         config = self.config
         if config.anneal_lr:
-            remaining = self.progress_remaining
-            set_lr(self.actor_adam, remaining * config.actor_lr)
-            set_lr(self.std_adam, remaining * (config.std_lr or config.actor_lr))
-            set_lr(self.critic_adam, remaining * config.critic_lr)
+            self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
         job = PlayEpisode[Array](
             self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs)
         )
@@ -481,9 +478,11 @@ class PPO(Learner):
         The critic's last layer shrinks as it grows, so that values in the environment's unit stay
         (van Hasselt et al. 2016).
         """
+        if not self.config.normalise_rewards:
+            return
         gamma = self.config.gamma
         largest = max(largest_return(e.rewards, gamma) for e in self._episodes)
-        if self.config.normalise_rewards and largest > self.reward_scale:
+        if largest > self.reward_scale:
             self.critic.scale_outputs(self.reward_scale / largest or 1.0)
             self.reward_scale = largest
 

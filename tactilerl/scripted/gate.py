@@ -86,28 +86,31 @@ def examine(
                 "sight_noise_kind": "white",
             }
             sensed = dataclasses.replace(sensed, **exact)
-        with closing(
-            vector.start(partial(GraspEnv, hand, sensed), workers)
-        ) as played_in:
-
-            def won(
-                reflex: reflexes.Reflex, starts: range, players: Any = played_in
-            ) -> int:
-                """Return how many starts a reflex wins."""
-                n_won = 0
-                for is_won in players.play(reflex.play, starts):
-                    n_won += is_won
-                    tick()
-                return n_won
-
-            other = range(first + SEARCH, first + SEARCH + search)
+        make = partial(GraspEnv, hand, sensed)
+        with closing(vector.start(make, workers)) as played_in:
+            others = range(first + SEARCH, first + SEARCH + search)
             env: Any = played_in.env.unwrapped
             candidates = reflexes.candidates(env, sense)
-            best = max(candidates, key=lambda reflex: won(reflex, other))
-            n_won = won(best, range(first, first + starts))
+            counts = [_n_won(played_in, reflex, others, tick) for reflex in candidates]
+            best = candidates[counts.index(max(counts))]
+            n_won = _n_won(played_in, best, range(first, first + starts), tick)
         interval = statistics.wilson_interval(n_won, starts)
         results.append(Found(name, best, n_won / starts, interval, starts))
     return results
+
+
+def _n_won(
+    workers: vector.Workers,
+    reflex: reflexes.Reflex,
+    starts: range,
+    tick: Callable[[], None],
+) -> int:
+    """Return how many starts a reflex wins; `tick` is called after every one."""
+    n_won = 0
+    for is_won in workers.play(reflex.play, starts):
+        n_won += is_won
+        tick()
+    return n_won
 
 
 def n_played(starts: int, search: int) -> int:
