@@ -181,7 +181,7 @@ def test_a_fault_on_one_rank_ends_all_with_the_reason(monkeypatch):
     Path("faulty.py").write_text(FAULTY)
     monkeypatch.setenv("PYTHONPATH", str(Path.cwd()))
     args = ["faulty:Faulty-v0" if arg == "point-reach" else arg for arg in REACH]
-    result = mpirun(["-m", "tactilerl", *args, "--out", "run"], timeout=100)
+    result = mpirun(["-m", "tactilerl", *args, "--out", "run"])
     assert result.returncode == 1
     assert "observation of the environment is not finite" in result.stderr
 

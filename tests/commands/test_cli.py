@@ -161,7 +161,7 @@ class TestResume:
         env = os.environ | {"OMP_NUM_THREADS": "1"}
         process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
         started = time.time()
-        while not Path("killed/checkpoint.pt").exists() and time.time() - started < 60:
+        while not Path("killed/checkpoint.pt").exists() and time.time() - started < 300:
             time.sleep(0.005)
         process.send_signal(signal.SIGKILL)
         process.wait()
