@@ -108,9 +108,10 @@ def _meant(name: str, known: tuple[str, ...]) -> str:
 
 
 def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Return the environment that `gymnasium.make` would cut off at its `max_episode_steps` with
-    episodes that are as long by themselves, and end as the task says. ValueError where the task needs
-    more.
+    """Return an environment of ours without `gymnasium.make`'s time limit, its own set to that limit.
+
+    Its episodes are as long by themselves, and end as the task says. Other environments stay as they
+    are. Raise ValueError where the task needs more steps.
     """
     base: Any = env.unwrapped
     if not isinstance(env, gym.wrappers.TimeLimit) or base.spec is None:

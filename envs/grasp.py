@@ -45,20 +45,22 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     simulator: str = "mujoco"
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
-    """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), smarthand, zhang or abbass (other
-    publications), model (the hand's own), or a .toml file."""
+    """Layout of the taxels (touch sensors): 1 to 6 (paper, Fig. 2), smarthand, zhang or abbass (other
+    publications), model (the hand's own), or a .toml file.
+    """
     touch: Literal["on", "off", "absent"] = "on"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
     taxels."""
     touch_rule: str = "skin"
-    """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
-    a contact of the simulator meets its sphere (paper); force: the taxel reads the normal
-    force, N. See docs/concepts/touch.md."""
+    """Rule by which a taxel fires. skin: its sphere overlaps the object, which touches the skin there;
+    contact: a contact of the simulator meets its sphere (paper); force: the taxel reads the normal
+    force, N. See docs/concepts/touch.md.
+    """
     actions: Literal["all", "fingers", "grip"] = "all"
     """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of
     fingers close and open; grip: one action closes and opens the whole hand."""
     start_closing: Annotated[float, "[0, 1)"] = 0.2
-    """With --actions fingers or grip: how far the hand is closed at the start; 1: fully."""
+    """Share of the way that the hand is closed at the start, with --actions fingers or grip; 1: all."""
     finger_gain: Annotated[float, "(0, 100]"] = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: Annotated[float, "[1e-06, 0.1]"] = 0.004
@@ -234,9 +236,7 @@ class GraspEnv(gym.Env[Any, Array]):
         return self._obs, self._info()
 
     def _jittered(self, shape: Shape) -> tasks.Start:
-        """Return the start with the hand open above the object, both a little moved where that is
-        asked for.
-        """
+        """Return a start with the hand open above the object, both a little moved with jitter."""
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
         config, rng = self.config, self.np_random
         if config.jitter:
@@ -307,25 +307,25 @@ class GraspEnv(gym.Env[Any, Array]):
         return list(self._observer.space.names)
 
     def observation_entries(self, *terms: str) -> Array:
-        """Return which entries of ``observation`` are the newest of some of the hand's terms, or
-        "taxels".
-        """
+        """Return indices of the newest entries of some terms, or "taxels", in ``observation``."""
         return self._observer.entries(*terms)
 
     @property
     def side_by_side(self) -> str:
-        """How several of these may be played in at once (`vector.start`)."""
+        """Kind of workers in which several of these may be played in at once (`vector.start`)."""
         return "processes" if self.simulator.holds_gil else "threads"
 
     def taxel_readings(self) -> Array:
-        """Return what the taxels feel now, (n_taxels,), without their faults: bool, or by the touch
-        rule "force" N.
+        """Return what the taxels feel now, without their faults, (n_taxels,).
+
+        Readings are bool, or N by the touch rule "force".
         """
         return self._touch.read(self.simulator.state())
 
     def render(self) -> Array | None:
-        """Return a picture of the scene, taxels that fire lit, when made with "rgb_array"; with "human"
-        show it in MuJoCo's viewer, as every reset and step does.
+        """Return a picture of the scene, taxels that fire lit, when made with "rgb_array".
+
+        With "human" show it in MuJoCo's viewer, as every reset and step does.
         """
         if self.render_mode == "human":
             self.simulator.show([*self.spheres()])
@@ -354,8 +354,9 @@ class GraspEnv(gym.Env[Any, Array]):
         self.simulator.close()
 
     def _require_whole(self, before: State) -> None:
-        """Raise SimulationError when an action moved the object too fast: the physics can break and
-        stay finite, as fingers that overlap deeply shoot the object out.
+        """Raise SimulationError when an action moved the object too fast.
+
+        The physics can break and stay finite, as when fingers that overlap deeply shoot the object out.
         """
         moved = self.state.object_position - before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt

@@ -57,8 +57,10 @@ class HoldTest:
     the compressed test ends and for one look more."""
 
     def run(self, simulator: Simulator, state: State) -> bool:
-        """Tell whether the object stays in the hand, from this state on and with its joint targets,
-        but for the slide that rises. Leave the simulator wherever the test ended.
+        """Return True if the object stays in the hand, from this state on.
+
+        Joint targets stay as they are, but for the slide that rises. Leaves the simulator wherever the
+        test ended.
         """
         timestep, targets = simulator.scene.timestep, state.targets.copy()
         # From where the slide is, not from its target: the hand may lag far behind that.
@@ -100,8 +102,10 @@ class HoldTest:
     def _settles(
         self, state: State, speed: float, compressed: float, is_at_top: bool
     ) -> bool:
-        """Return the early verdict after so much compressed time, s, on an object that moves in the
-        hand at `speed`, m/s: it is at rest, or still in the hand at the top when time is up.
+        """Return True if the test may end early with success, after `compressed` s of it.
+
+        The object, which moves in the hand at `speed`, m/s, is at rest, or still in the hand at the top
+        when time is up.
         """
         whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
         left = max(0.0, whole - compressed)
@@ -115,7 +119,5 @@ def _in_hand(state: State) -> Array:
 
 
 def _corners(state: State) -> Array:
-    """Return the corners (8, 3) of the object's bounding box relative to the palm, m: they show
-    turns.
-    """
+    """Return corners (8, 3) of the object's bounding box relative to the palm, m; they show turns."""
     return _in_hand(state) + CORNERS * state.shape.half_size @ state.object_rotation.T

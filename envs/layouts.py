@@ -115,8 +115,9 @@ class Patch:
     def spots(
         self, surface: Surface, pitch: Pitch
     ) -> Iterator[tuple[tuple[float, float], float, str]]:
-        """Yield (row, column) on a surface in m, radius and name of each of its taxels there; names are
-        in pitches, or in mm.
+        """Yield place, radius and name of each of its taxels on a surface.
+
+        The place is (row, column) in m, as is the radius; names are in pitches, or in mm.
         """
         where = f"{surface.digit}.{surface.segment}"
         for row, column in self.offsets:
@@ -189,7 +190,7 @@ class Layout:
 
     @property
     def is_model(self) -> bool:
-        """Does it stand for what the hand's model has? Every file has taxels of its own."""
+        """True if it stands for the sensors of the hand's model; every file has taxels of its own."""
         return not (self.patches or self.taxels)
 
     def place(self, hand: Hand) -> Taxels:
@@ -250,8 +251,10 @@ class Layout:
     def on_grids(
         self, hand: Hand
     ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str, float | None]]:
-        """Yield index of the surface, the surface, (row, column) on it in m, radius, name and threshold
-        of every taxel of a patch, whether or not there is something of the link.
+        """Yield every taxel of a patch, whether or not there is something of the link.
+
+        The parts are index of the surface, the surface, (row, column) on it in m, radius, name and
+        threshold.
         """
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
@@ -308,8 +311,10 @@ def _on_surface(
 
 
 def require_places(layout: Layout, hand: Hand) -> None:
-    """Raise ValueError where a layout that is not partial names a digit, or a segment of one, that a
-    hand lacks."""
+    """Raise ValueError where a layout that is not partial names places that a hand lacks.
+
+    A place is a digit, or a segment of one.
+    """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     there |= {(digit, "") for digit in hand.digits}
     palms = [f"{digit}.palm" for digit, segment in there if segment == "palm"]
@@ -330,8 +335,9 @@ def require_places(layout: Layout, hand: Hand) -> None:
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
-    """Return where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any
-    shape has a gap: thumb.distal[+1,-1].
+    """Return places where a layout wants taxels and the hand has none.
+
+    There is no surface (thumb.palm), or a link of any shape has a gap (thumb.distal[+1,-1]).
     """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     # All digits are the paper's, where this is a hand like those.
@@ -384,15 +390,15 @@ def short(name: str) -> str:
 
 
 def is_file(name: str) -> bool:
-    """Is it the path of a file?"""
+    """Return True if the name of a layout is the path of a file."""
     return "\n" not in name and Path(name).suffix in (".toml", *READERS)
 
 
 def load(name: str) -> Layout:
-    """Return a layout by number, by name, or from a file: TOML, or points in another format
-    (`taxel_files.READERS`); or from the text of a TOML file.
+    """Return a layout by number or name, or from a file or the text of a TOML file.
 
-    Raises ValueError naming what is wrong with the file, and FileNotFoundError.
+    Files are TOML, or points in another format (`taxel_files.READERS`). Raises ValueError naming what
+    is wrong with the file, and FileNotFoundError.
     """
     if name in PAPER:
         return PAPER[name]
@@ -468,5 +474,5 @@ def _in_mm(metres: float) -> str:
 
 
 def mm(metres: float) -> float:
-    """To 0.1 µm: more than enough to tell two taxels apart."""
+    """Return a length in mm, to 0.1 µm: more than enough to tell two taxels apart."""
     return round(1e3 * float(metres), 4) + 0.0  # no -0.0

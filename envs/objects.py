@@ -1,4 +1,4 @@
-"""Which objects there are to grasp, and how they differ between episodes."""
+"""Describe the objects to grasp, and how they differ between episodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FURTHEST = 0.1  # m: at 5 cm, half of a hand's width, a hand's slides hardly get
 
 @dataclass(frozen=True)
 class ObjectConfig:
-    """Which objects there are, and where they start."""
+    """Objects of a scene, and where they start."""
 
     object: str = "box"
     """box, sphere or cylinder. Of several (box,sphere), each episode draws one."""
@@ -39,20 +39,21 @@ class ObjectConfig:
     jitter: bool = True
     """Vary the start slightly in every episode (the paper does not)."""
     start_offset: Annotated[float, f"[0, {FURTHEST}]"] = OFFSET
-    """With jitter: largest offset of the object along x and y, m."""
+    """Largest offset of the object along x and y with jitter, m."""
     start_yaw: Annotated[float, "[0, 3.142]"] = YAW
-    """With jitter: largest turn of the object, rad."""
+    """Largest turn of the object with jitter, rad."""
 
     @property
     def is_near(self) -> bool:
-        """Whether the object starts where the hand leaves room for it."""
+        """True if the object starts where the hand leaves room for it."""
         is_usual = self.start_offset <= OFFSET and self.start_yaw <= YAW
         return is_usual or not self.jitter
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:
-    """Return a shape from its measures in m: a box's edges (one: a cube), a sphere's diameter, a
-    cylinder's diameter and height (one: both). ValueError for another number of them.
+    """Return a shape from its measures in m; ValueError for another number of them.
+
+    A box has edges (one: a cube), a sphere a diameter, a cylinder a diameter and a height (one: both).
     """
     allowed = {"box": "1 or 3", "sphere": "1", "cylinder": "1 or 2"}[kind]
     if str(len(size)) not in allowed.split():
@@ -78,8 +79,9 @@ class Item:
         return self.density * self.shape.volume
 
     def describe(self) -> dict[str, Any]:
-        """Return plain values, for ``info``: edges (of a sphere or cylinder: of the box around it) in
-        m.
+        """Return plain values, for ``info``.
+
+        Edges are in m; those of a sphere or cylinder are of the box around it.
         """
         size = tuple(2 * half for half in self.shape.half_size)
         values = {"density": self.density, "mass": self.mass, "friction": self.friction}

@@ -1,4 +1,4 @@
-"""What the policy observes: terms, sight, joint angles, taxels with their faults, history.
+"""Make the policy's observation: terms, sight, joint angles, taxels with their faults, history.
 
 One small object a concern, begun with every episode. Sight, joints and taxels each have a generator of
 their own, so that what one draws moves nothing that another draws; a taxel's reading passes one `Stage`
@@ -43,14 +43,16 @@ class TaxelFaults:
 
 @dataclass(frozen=True)
 class SensorConfig(TaxelFaults):
-    """How well the hand senses its joints, the object and touch. Perfectly, by default."""
+    """Errors with which the hand senses its joints, the object and touch; by default, none."""
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
-    """How the policy sees the object's pose: exact (paper), noisy (--sight-noise), start (where it was
-    at the start of the episode), or hidden (zeros, and the kind of the scene's first object)."""
+    """Object's pose as the policy sees it: exact (paper), noisy (--sight-noise), start (where it was at
+    the start of the episode), or hidden (zeros, and the kind of the scene's first object).
+    """
     sight_noise: tuple[Metres, Radians] | None = None
-    """With --object-seen noisy: standard deviations of the noise on each coordinate, m, and about each
-    axis, rad; default: 0.01 0.1."""
+    """Standard deviations of the noise with --object-seen noisy: on each coordinate, m, and about each
+    axis, rad; default: 0.01 0.1.
+    """
     sight_noise_kind: Literal["white", "held"] = "white"
     """white: drawn at every step; held: drawn once per episode."""
     joint_noise: Radians = 0.0
@@ -76,7 +78,7 @@ class SensorConfig(TaxelFaults):
 
 @dataclass(frozen=True)
 class ObservationConfig(SensorConfig):
-    """What the policy observes."""
+    """Observation of the policy."""
 
     history: Annotated[int, "[1, 100]"] = 1
     """Number of latest observations that the policy sees, stacked."""
@@ -113,7 +115,7 @@ class Term(NamedTuple):
     """A few entries of the observation; a hand's ``observation`` says which terms it has."""
 
     what: str
-    """What all entries are."""
+    """Quantity that all the entries are."""
     entries: Callable[[Hand], Sequence[str]]
     """Names that tell the entries apart."""
     read: Callable[[Hand, State], Array]
@@ -161,7 +163,7 @@ TERMS = {
 
 
 class Stage(ABC):
-    """What happens to a reading (..., n) on its way to the policy."""
+    """Change a reading (..., n) on its way to the policy."""
 
     def begin(self, rng: np.random.Generator) -> None:
         """Begin a new episode, whose draws come from `rng`."""
@@ -232,8 +234,9 @@ class Broken(Stage):
 
 
 class Past(Stage):
-    """Give the readings of the last `n` control steps, the newest first; before an episode, all was as
-    at its start.
+    """Give the readings of the last `n` control steps, the newest first.
+
+    Before an episode, all was as at its start.
     """
 
     def __init__(self, n: int) -> None:
@@ -262,9 +265,11 @@ class Delay(Past):
 
 
 class Sight:
-    """How the object is seen: as it is, off by a random offset and a turn about a random axis (at every
-    step or for an episode), as it was when the episode began, or not at all: it is then said to have
-    the shape of the scene's first object.
+    """See the object, with the errors of a configuration.
+
+    It is seen as it is, off by a random offset and a turn about a random axis (at every step or for an
+    episode), as it was when the episode began, or not at all: it is then said to have the shape of the
+    scene's first object.
     """
 
     def __init__(self, config: SensorConfig, first: Shape) -> None:
@@ -331,8 +336,10 @@ class Observer:
         control_dt: float,
         first: Shape,
     ) -> None:
-        """`taxel_names` are those in the observation; `is_boolean`: do they read 0 or 1? `first` is the
-        shape of the scene's first object.
+        """Prepare the observation of a hand.
+
+        `taxel_names` are those in the observation, `is_boolean` says that they read 0 or 1, `first` is
+        the shape of the scene's first object.
         """
         for term in hand.observation:
             require_one_of(TERMS, term, f"hand {hand.name}: observation")
@@ -362,9 +369,7 @@ class Observer:
         self.space = NamedBox(names, config.history * len(taxels), is_boolean)
 
     def entries(self, *terms: str) -> Array:
-        """Return the indices of the newest entries of these terms, as far as the hand has them, or
-        "taxels".
-        """
+        """Return indices of the newest entries of these terms, if the hand has them, or "taxels"."""
         return np.flatnonzero(np.isin(self._term_of_entry, terms))
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -403,5 +408,6 @@ STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
     ),
     lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
 ]
-"""What happens to the readings (n,) of taxels, where it is asked for: they flip at random, a sensor
-that is broken says the same whatever it feels, and all of it is late."""
+"""Makers of the stages that the readings (n,) of taxels pass, each None where nobody asks for it:
+they flip at random, a broken sensor says the same whatever it feels, and all of it is late.
+"""

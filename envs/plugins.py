@@ -70,8 +70,10 @@ def require_class(
 
 
 def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
-    """Return what a module's class returned as an array; ValueError, which says `where`, when it is
-    no array of numbers of this shape."""
+    """Return what a module's class returned as an array.
+
+    Raise ValueError, which says `where`, when it is no array of numbers of this shape.
+    """
     if np.shape(value) != shape or np.asarray(value).dtype.kind not in "bifu":
         found = (
             f"an array {value.shape}"
@@ -83,8 +85,10 @@ def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
 
 
 def culprit(error: BaseException | None) -> str:
-    """Return the name of an imported module whose code raised an error, or what led to it; "" where
-    there is none."""
+    """Return the name of an imported module whose code raised an error, or what led to it.
+
+    It is "" where there is none.
+    """
     packages = {module.partition(".")[0] for module in imported}
     while error is not None:
         for frame, _ in traceback.walk_tb(error.__traceback__):

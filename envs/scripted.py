@@ -1,5 +1,6 @@
-"""Open-loop grasps: approach, close, lift, hold. What the check of taxels, the pictures and the
-benchmarks look at when no policy should be involved.
+"""Perform open-loop grasps: approach, close, lift, hold.
+
+The check of taxels, the pictures and the benchmarks use them when no policy should be involved.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ FALLEN = 0.1  # m below where it was at the beginning of the hold
 
 
 class Offsets(NamedTuple):
-    """How far a scripted grasp starts from where it was found."""
+    """Offsets of a scripted grasp's start from where it was found."""
 
     place: Array | float = 0.0
-    """Of the object along x and y, (2,) m."""
+    """Offset of the object along x and y, (2,) m."""
     yaw: float = 0.0
-    """Of the object, rad."""
+    """Turn of the object, rad."""
     joints: Array | float = 0.0
     """(n_joints,) rad; the slides' are zero."""
 
@@ -56,8 +57,9 @@ def hold_steps(
     seconds: float,
     dt: float | None = None,
 ) -> Iterator[bool]:
-    """Perform `grasp` on the environment's simulator and yield once per control step of the
-    hold: is the object still up? The environment's own episode is not involved.
+    """Perform `grasp` on the environment's simulator, and yield whether the object is still up.
+
+    It yields once per control step of the hold. The environment's own episode is not involved.
     """
     simulator = env.simulator
     dt = dt or period(env.config.timestep)

@@ -1,5 +1,7 @@
-"""What is true at one moment. A simulator is asked once per control step; touch, senses, tasks, rewards
-and pictures are functions of what it says, and of nothing else.
+"""Hold what is true at one moment.
+
+A simulator is asked once per control step; touch, senses, tasks, rewards and pictures are functions
+of what it says, and of nothing else.
 
 World frame, z up, ground at 0; SI units, quaternions wxyz. Arrays may have leading axes (...), of many
 moments or many worlds.
@@ -59,8 +61,9 @@ class Shape:
         return np.einsum("...i,...i->...", beyond, beyond)
 
     def half_height(self, rotation: Array) -> Array:
-        """Return how far (...) the shape reaches below its centre when turned by `rotation` (..., 3,
-        3), m.
+        """Return how far (...) the shape, turned by `rotation` (..., 3, 3), reaches below its centre.
+
+        The distance is in m.
         """
         x, _, z = self.half_size
         if self.kind == "sphere":
@@ -74,7 +77,7 @@ class Shape:
 
 
 class Contacts(NamedTuple):
-    """Where the hand presses on the object."""
+    """Hold the contacts (k of them) at which the hand presses on the object."""
 
     points: Array
     """(k, 3), m."""

@@ -1,5 +1,4 @@
-"""The two tasks of the paper, and handover: where the object is at first and who moves it, which goal,
-what is achieved, what is rewarded, what is success.
+"""Define the two tasks of the paper, and handover: start, giver, goal, reward, success.
 
 A task owns all of that, its thresholds and its hold test; the environment calls it before and after
 each action. Rewards are pure functions of the achieved and the desired goal, so that hindsight
@@ -27,7 +26,7 @@ BEYOND_REACH, BEYOND_FALLEN = 0.08, 0.03
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Which task, and its thresholds."""
+    """Task of a scene, and its thresholds."""
 
     task: str = "lift-and-hold"
     """lift-and-hold (the paper's task for PPO), reach-goal (its task for DDPG+HER), or handover (close
@@ -73,7 +72,7 @@ def validate(config: TaskConfig) -> None:
 
 
 class Start(NamedTuple):
-    """How hand and object begin an episode: what `Simulator.reset` takes."""
+    """Start of an episode for hand and object, as `Simulator.reset` takes it."""
 
     joints: Array
     """Positions (n_joints,) in the order of the hand's ``joints``, rad and m."""
@@ -86,8 +85,9 @@ class Start(NamedTuple):
 
 
 class Task(ABC):
-    """Goals, rewards and verdicts of one environment's episodes. Unless it says otherwise, the object
-    lies on the ground, and nobody but the hand moves it.
+    """Set goals, rewards and verdicts of one environment's episodes.
+
+    Unless it says otherwise, the object lies on the ground, and nobody but the hand moves it.
     """
 
     rewards: ClassVar[tuple[str, ...]]
@@ -97,9 +97,9 @@ class Task(ABC):
     max_episode_steps: ClassVar[int]
     """Length of an episode unless the configuration says otherwise."""
     rise: ClassVar[float] = 0.0
-    """How much higher than usual the hand hangs, m."""
+    """Height above the usual at which the hand hangs, m."""
     giver: Giver | None = None
-    """Who carries the object before the hand has it."""
+    """Spring that carries the object before the hand has it; None where nobody does."""
     goal_size: int
     """Length of achieved and desired goals."""
     only_goal: Array | None = None
@@ -115,8 +115,9 @@ class Task(ABC):
     def __init__(
         self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
     ) -> None:
-        """Make the task as configured, for a hand whose own timestep is that, s, and a scene whose
-        first object has this shape.
+        """Make the task for a hand and a scene.
+
+        `own_timestep` is the hand's own, s; `first` is the shape of the scene's first object.
         """
         self.config, self.first = config, first
         self.hold = HoldTest(
@@ -129,8 +130,10 @@ class Task(ABC):
     def start(
         self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
     ) -> Start:
-        """Return how an episode begins: usually with the hand open above an object on the ground,
-        both a little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers.
+        """Return how an episode begins.
+
+        Usually the hand is open above an object on the ground, both a little moved. `palm` (3,) is a
+        place on the palm's skin, at the bases of the fingers.
         """
         return usual
 
@@ -143,8 +146,9 @@ class Task(ABC):
 
     @abstractmethod
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
-        """Return what was achieved (goal_size,) with an action, the episode's last one or not, and
-        whether the episode ends here by the task's own rules.
+        """Return what was achieved (goal_size,) with an action, and True if the episode ends here.
+
+        `is_last` says that it is the episode's last action; the end is by the task's own rules.
         """
 
     def is_hold_due(self, state: State) -> bool:
@@ -290,7 +294,7 @@ class Handover(Task):
     goal_size = 1
     only_goal: Array = np.array([OUTCOMES["held"]])
     below: ClassVar[float] = 0.12
-    """How far under the palm the object waits, m."""
+    """Distance below the palm at which the object waits, m."""
     waits: ClassVar[tuple[int, int]] = (5, 35)
     """Before which action, from and to, the giver sets off."""
     stays: ClassVar[int] = 10
@@ -304,8 +308,9 @@ class Handover(Task):
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
-        """Raise ValueError where an episode ends before the hold test, or the giver lets go on the
-        way.
+        """Raise ValueError where an episode is too short, or its giver would let go on the way.
+
+        An episode is too short where it ends before the hold test.
         """
         least = cls.waits[1] + cls.stays + cls.settles
         steps, dt = config.max_episode_steps, config.control_dt
@@ -323,7 +328,7 @@ class Handover(Task):
     ) -> None:
         super().__init__(config, hand, own_timestep, first)
         self.beyond = config.giver_force / self.giver.stiffness
-        """How far beyond contact the giver wants to move the object, m."""
+        """Distance beyond contact to which the giver wants to move the object, m."""
         most = max(self.giver.force, config.giver_force)
         self.giver = replace(self.giver, force=most)
         self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)

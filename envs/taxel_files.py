@@ -1,7 +1,7 @@
-"""Taxels as points on links: tables of layout files, and files of points (CSV, and JSON as Tactile
-Genesis has it; docs/guides/layouts.md).
+"""Read taxels as points on links: tables of layout files, and files of points.
 
-Positions are in m in the frame of the link, normals point outward.
+Files of points are CSV, and JSON as Tactile Genesis has it (docs/guides/layouts.md). Positions are in
+m in the frame of the link, normals point outward.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .validation import Newtons, blamed, fill, read_text
 COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius")
 Near = Annotated[float, "[-1, 1]"]
 Place = tuple[Near, Near, Near]
-"""In the frame of a link, m."""
+"""Point in the frame of a link, m."""
 Radius = Annotated[float, "[0.0001, 0.02]"]
 Tables = Iterator[dict[str, Any]]
 
@@ -81,8 +81,10 @@ def require_distinct(points: Sequence[Point]) -> None:
 
 
 def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
-    """Return the taxels of a file, whose name says which format it has, all on `link` where that is
-    given; ValueError naming what is wrong with it, and FileNotFoundError.
+    """Return the taxels of a file, all on `link` where that is given.
+
+    The file's name says which format it has. ValueError naming what is wrong with it, and
+    FileNotFoundError.
     """
     with blamed(f"taxel file {path}"):
         text = read_text(path, "taxel file")
@@ -100,8 +102,9 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
 
 
 def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
-    """Yield the taxels of sensors that have files of their own, on each of their links; ValueError
-    naming what is wrong, and FileNotFoundError.
+    """Yield the taxels of sensors that have files of their own, on each of their links.
+
+    Raise ValueError naming what is wrong, and FileNotFoundError.
     """
     files: list[str] = []
     for number, sensor in enumerate(sensors, 1):
@@ -133,8 +136,10 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
 
 
 def _read_genesis(text: str) -> Tables:
-    """Yield a table a probe. There is one entry a link, its probes in rows of a grid or in a list;
-    those of radius 0 fill up a row.
+    """Yield a table a probe.
+
+    There is one entry a link, its probes in rows of a grid or in a list; those of radius 0 fill up a
+    row.
     """
     for entry in json.loads(text):
         rows = entry["probes"]
@@ -145,8 +150,9 @@ def _read_genesis(text: str) -> Tables:
 
 
 def _read_csv(text: str) -> Tables:
-    """Yield a table a row. There is a heading; the first column, links, and the last, names, may be
-    missing.
+    """Yield a table a row.
+
+    There is a heading; the first column, links, and the last, names, may be missing.
     """
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heading = tuple(name.strip() for name in rows.fieldnames or ())

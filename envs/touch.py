@@ -1,4 +1,4 @@
-"""What taxels feel: the touch rules.
+"""Compute what taxels feel, by the touch rules.
 
 Rule "skin": a taxel is on when its sensing sphere overlaps the object and the skin that carries
 it is no further than `SKIN` from the object. A rigid capsule meets a flat face in one or two
@@ -93,9 +93,9 @@ class Rule(ABC):
     """A touch rule for the taxels of one layout on one hand."""
 
     is_boolean: bool = True
-    """Whether its readings are 0 or 1."""
+    """True if the readings are 0 or 1."""
     by_sensors: bool = False
-    """Whether it reads sensors that the simulator has where the taxels are."""
+    """True if the rule reads sensors that the simulator has where the taxels are."""
 
     @abstractmethod
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
@@ -246,8 +246,9 @@ class ForceRule(SkinTouch):
         return np.where(is_on, forces, 0.0)
 
     def feel(self, state: State) -> tuple[Array, Array]:
-        """Return which taxels are on by rule "skin", bool (n,), and the force that each would carry, N
-        (n,). A taxel with a threshold fires where it is on and carries as much.
+        """Return which taxels are on by rule "skin", bool (n,), and the force on each, N (n,).
+
+        A taxel with a threshold fires where it is on and carries as much.
         """
         taxels, contacts = self._taxels, state.contacts
         is_on, forces = super().read(state), np.zeros(len(taxels))
@@ -306,9 +307,10 @@ def make(
     threshold: float | None = None,
     release: float | None = None,
 ) -> Rule:
-    """Return the rule of a name for taxels that fire from `threshold` N up (None: from their own) and
-    stop below `release` N (None: `RELEASE` of the threshold). ValueError for a threshold with a rule
-    that reads no force of its own.
+    """Return the rule of a name for some taxels.
+
+    They fire from `threshold` N up (None: from their own) and stop below `release` N (None: `RELEASE`
+    of the threshold). ValueError for a threshold with a rule that reads no force of its own.
     """
     thresholds = taxels.thresholds
     if threshold is not None:

@@ -43,7 +43,7 @@ WORDS = {
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
 LARGEST_FILE = 10_000_000  # bytes
 Aliases = Mapping[str, tuple[str, str]]
-"""What others call a choice -> what is nearest to it here (names with spaces between), and why."""
+"""Names of others for a choice -> what is nearest to it here (names with spaces between), and why."""
 NONE: Aliases = {}
 
 
@@ -53,8 +53,9 @@ NONE: Aliases = {}
 def require_known(
     names: Iterable[str], known: Iterable[str], aliases: Aliases = NONE
 ) -> None:
-    """Raise ValueError naming the first of `names` that is not known, what may have been meant, and
-    all that are known.
+    """Raise ValueError naming the first of `names` that is not known.
+
+    It says what may have been meant, and all that are known.
     """
     known = sorted(known)
     for name in names:
@@ -152,9 +153,7 @@ def require_rising(span: tuple[float, ...], where: str) -> None:
 
 
 def allow_only_with(what: str, config: Any, *names: str) -> None:
-    """Raise ValueError for a field of `config` that is not as usual, where it does nothing without
-    `what`.
-    """
+    """Raise ValueError for a field of `config` that is not as usual but does nothing without `what`."""
     usual = {field.name: field.default for field in dataclasses.fields(config)}
     for name in names:
         if (found := getattr(config, name)) != usual[name]:
@@ -165,10 +164,10 @@ def allow_only_with(what: str, config: Any, *names: str) -> None:
 
 
 def require_type(value: Any, hint: Any, where: str) -> Any:
-    """Return a value as the type `hint` has it: lists as tuples, whole numbers as floats, tables as
-    dataclasses. Raise ValueError when it is not of that type, or not in its interval.
+    """Return a value as the type `hint` has it, or raise ValueError.
 
-    True is no number, nor is 10**400.
+    Lists become tuples, whole numbers floats, tables dataclasses. It is an error when the value is not
+    of that type, or not in its interval. True is no number, nor is 10**400.
     """
     options = get_args(hint) if get_origin(hint) in (Union, UnionType) else [hint]
     for option in options:
@@ -284,8 +283,9 @@ def _short(value: Any) -> str:
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return the content of a file, called `what` in errors; ValueError where it is too large or no
-    UTF-8, and FileNotFoundError.
+    """Return the content of a file, called `what` in errors.
+
+    Raise ValueError where it is too large or no UTF-8, and FileNotFoundError.
     """
     if not os.path.isfile(path):  # Path.is_file raises when a name is too long
         raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
@@ -295,8 +295,9 @@ def read_text(path: Path, what: str) -> str:
 
 
 def read(path: Path, what: str) -> dict[str, Any]:
-    """Return the content of a TOML file, called `what` in errors; ValueError naming what is wrong with
-    it, and FileNotFoundError.
+    """Return the content of a TOML file, called `what` in errors.
+
+    Raise ValueError naming what is wrong with it, and FileNotFoundError.
     """
     try:
         return tomllib.loads(read_text(path, what))
@@ -324,8 +325,9 @@ def only(data: Mapping[str, Any], allowed: Collection[str], where: str) -> None:
 def table(
     data: Mapping[str, Any], key: str, allowed: Collection[str] | None = None
 ) -> dict[str, Any]:
-    """Return a table of a file, empty where there is none; ValueError for something else, and for a
-    key in it that is not allowed.
+    """Return a table of a file, empty where there is none.
+
+    Raise ValueError for something else, and for a key in it that is not allowed.
     """
     value = _table(data.get(key, {}), key)
     if allowed is not None:

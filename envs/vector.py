@@ -29,8 +29,9 @@ T = TypeVar("T")
 Make = Callable[[], gym.Env[Any, Any]]
 IsWanted = Callable[[], bool]
 Job = Callable[[gym.Env[Any, Any], int, IsWanted], T]
-"""What a worker does: (env, number, is_wanted) -> result. When `is_wanted` turns false it may stop and
-return anything. Picklable, where workers are processes."""
+"""Job of a worker: (env, number, is_wanted) -> result. When `is_wanted` turns false it may stop and
+return anything. Picklable, where workers are processes.
+"""
 
 
 class Workers:
@@ -42,8 +43,9 @@ class Workers:
         env: gym.Env[Any, Any],
         opened: ExitStack | None = None,
     ) -> None:
-        """`env` answers what does not depend on an episode; a player may play in it. `opened` is
-        what has to be closed in the end.
+        """Take players, and an environment that answers what does not depend on an episode.
+
+        A player may play in `env`. `opened` is what has to be closed in the end.
         """
         self.env, self._players, self._opened = env, players, opened or ExitStack()
         self.observation_space = env.observation_space
@@ -72,8 +74,9 @@ class Workers:
     def compute_reward(
         self, achieved_goal: np.ndarray, desired_goal: np.ndarray
     ) -> np.ndarray:
-        """Return rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
-        ValueError where there is none.
+        """Return rewards (n,) of goals (n, goal_size), by the outermost wrapper that computes them.
+
+        Raise ValueError where there is none.
         """
         if not self.env.has_wrapper_attr("compute_reward"):
             raise ValueError("compute_reward: found an environment without it")
@@ -171,8 +174,10 @@ class RemotePlayer:
         return result
 
     def answer(self, to: Any = None, is_wanted: IsWanted = lambda: True) -> Any:
-        """Return what comes back from the process; first of all, before anything is sent, None when the
-        environment is made, or what kept it from being made.
+        """Send `to` to the process, unless it is None, and return its answer.
+
+        Before anything is sent, the answer is None when the environment is made. Raise the exception
+        that the process answers, and WorkerDiedError where it has died.
         """
         try:
             if to is not None:

@@ -24,7 +24,7 @@ LENGTHS = {"object_size", "start_offset", "handover_reach"}
 
 @dataclass(frozen=True)
 class NamedScene:
-    """What a scene's file says."""
+    """Hold what a scene's file says."""
 
     about: str = ""
     """One sentence for people."""

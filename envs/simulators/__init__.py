@@ -156,9 +156,10 @@ class Simulator(ABC):
         yaw: float,
         targets: Array | None = None,
     ) -> None:
-        """Put everything at rest; afterwards the past has no influence. Raise SimulationError when the
-        physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;
-        usually the hand's at its start.
+        """Put everything at rest; afterwards the past has no influence.
+
+        Raise SimulationError when the physics cannot begin there. `targets` (n_actuators,) are the
+        state's until the next step; usually the hand's at its start.
         """
         self._targets = self.scene.hand.start_targets() if targets is None else targets
         with self._checked():
@@ -186,8 +187,9 @@ class Simulator(ABC):
 
     @abstractmethod
     def carry(self, goal: Array) -> None:
-        """Make the scene's giver carry the object towards `goal` (3,), m, from where it is. After a
-        reset nobody carries it.
+        """Make the scene's giver carry the object towards `goal` (3,), m, from where it is.
+
+        After a reset nobody carries it.
         """
 
     @abstractmethod
@@ -195,8 +197,9 @@ class Simulator(ABC):
         """Carry the object no longer."""
 
     def set_creep(self, factor: float) -> None:
-        """Make what sticks creep this many times as fast as in the scene as it is built (1); nothing
-        where dry friction does not creep.
+        """Make what sticks creep `factor` times as fast as in the scene as it is built.
+
+        It does nothing where dry friction does not creep.
         """
 
     @abstractmethod
@@ -230,8 +233,9 @@ class Simulator(ABC):
         """Return an RGB picture (height, width, 3) uint8 of the scene with some spheres."""
 
     def show(self, spheres: Sequence[Sphere] = ()) -> None:
-        """Show the scene with some spheres in a window, no faster than real time. Raise ValueError
-        where the simulator has none, OSError where there is no display.
+        """Show the scene with some spheres in a window, no faster than real time.
+
+        Raise ValueError where the simulator has none, OSError where there is no display.
         """
         raise ValueError("render_mode: found 'human', allowed with simulator mujoco")
 

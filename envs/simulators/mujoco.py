@@ -83,8 +83,9 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
 
 
 def _surround(spec: mujoco.MjSpec) -> None:
-    """Add the ground and light, in place of the hand model's background and textures, whose files are
-    seldom published with it.
+    """Add the ground and light, in place of the hand model's background and textures.
+
+    The files of these are seldom published with the model.
     """
     spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.3, 0.4
     for material in spec.materials:
@@ -97,8 +98,10 @@ def _surround(spec: mujoco.MjSpec) -> None:
 
 
 def _add_giver(spec: mujoco.MjSpec, giver: Giver) -> None:
-    """Add a damped spring along each axis of the world, whose rest point, the actuator's activation,
-    goes at the speed that is its control and stays within the activation's range.
+    """Add a damped spring along each axis of the world.
+
+    Its rest point, the actuator's activation, goes at the speed that is its control and stays within
+    the activation's range.
     """
     spec.worldbody.add_site(name=GIVER, group=NOT_DRAWN)
     spec.body(OBJECT).add_site(name=OBJECT, group=NOT_DRAWN)
@@ -167,8 +170,9 @@ DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
 
 
 def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """Return what draws; where there is no display, and nobody says with what, by EGL, or else OSMesa.
-    Raise OSError where nothing can.
+    """Return MuJoCo's renderer; without a display, and unless told how, by EGL, or else OSMesa.
+
+    Raise OSError where nothing can draw.
     """
     if _cannot_draw:  # a second attempt would end the process
         raise OSError(_cannot_draw[0])
@@ -237,8 +241,9 @@ class _Window:
 
 
 def _set_mean_inertia(model: mujoco.MjModel) -> None:
-    """Set the solver's unit by one sum for models as compiled and changed: some processors round
-    MuJoCo's own differently.
+    """Set the solver's unit by one sum for models as compiled and changed.
+
+    Some processors round MuJoCo's own differently.
     """
     model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
 

@@ -154,8 +154,9 @@ class PyBulletSimulator(Simulator):
         return body
 
     def _set_dynamics(self) -> None:
-        """Set friction and damping. Bullet multiplies the frictions of two bodies: 1 everywhere but on
-        the object.
+        """Set friction and damping.
+
+        Bullet multiplies the frictions of two bodies: 1 everywhere but on the object.
         """
         change, added = self._bullet.changeDynamics, self.scene.hand.added_inertia
         change(
@@ -203,8 +204,9 @@ class PyBulletSimulator(Simulator):
         return [self._joint_index[joint] for joint in motors], gains, limits
 
     def _target_limits(self) -> Array:
-        """Return the lowest and highest targets (2, n_actuators) with which joints that follow rigidly
-        stay in their ranges, rad or m.
+        """Return the lowest and highest targets (2, n_actuators), rad or m.
+
+        Joints that follow rigidly stay in their ranges with these.
         """
         hand = self.scene.hand
         limits = np.outer([-np.inf, np.inf], np.ones(len(hand.actuated)))
@@ -261,8 +263,9 @@ class PyBulletSimulator(Simulator):
             bullet.stepSimulation()
 
     def _pull(self, position: Array) -> Array:
-        """Return the giver's force (3,) on the object, N, whose weight is carried; the spring's rest
-        point goes on by a timestep.
+        """Return the giver's force (3,) on the object, N; move the spring's rest point by a timestep.
+
+        The force is without the object's weight, which is carried.
         """
         giver, rest = self.scene.giver, self._rest
         assert giver is not None

@@ -61,8 +61,9 @@ BULLETS_SKIN = 1e-3  # m: by so much Bullet makes convex hulls from URDF thicker
 
 
 def from_model(model: mujoco.MjModel, folder: Path) -> str:
-    """Return the text, with the convex hulls of meshes as files in `folder`. Raise ValueError when the
-    model has a joint or a shape that URDF has not.
+    """Return the model as URDF text, and write the convex hulls of its meshes to files in `folder`.
+
+    Raise ValueError when the model has a joint or a shape that URDF has not.
     """
     if loops := np.isin(model.eq_type, _LOOPS).sum():
         raise _unknown(f"{loops} closed loops in the hand's model", "none")
