@@ -75,12 +75,12 @@ def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     Raise ValueError, which says `where`, when it is no array of numbers of this shape.
     """
     if np.shape(value) != shape or np.asarray(value).dtype.kind not in "bifu":
-        found = (
+        returned = (
             f"an array {value.shape}"
             if isinstance(value, np.ndarray)
             else repr(value)[:50]
         )
-        raise ValueError(f"{where} returned {found}, allowed numbers of shape {shape}")
+        raise ValueError(f"{where}: found {returned}, allowed numbers of shape {shape}")
     return np.asarray(value)
 
 

@@ -42,17 +42,12 @@ WORDS = {
 }
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
 LARGEST_FILE = 10_000_000  # bytes
-Aliases = Mapping[str, tuple[str, str]]
-"""Names of others for a choice -> what is nearest to it here (names with spaces between), and why."""
-NONE: Aliases = {}
 
 
 # -- names that somebody chose ---------------------------------------------------------------
 
 
-def require_known(
-    names: Iterable[str], known: Iterable[str], aliases: Aliases = NONE
-) -> None:
+def require_known(names: Iterable[str], known: Iterable[str]) -> None:
     """Raise ValueError naming the first of `names` that is not known.
 
     It says what may have been meant, and all that are known.
@@ -60,7 +55,7 @@ def require_known(
     known = sorted(known)
     for name in names:
         if name not in known:
-            hint = nearest(name, known, aliases)
+            hint = nearest(name, known)
             raise ValueError(f"{name}: unknown; {hint}allowed: {', '.join(known)}")
 
 
@@ -70,17 +65,10 @@ def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
         raise ValueError(f"{where}: found {value!r}, allowed: {', '.join(known)}")
 
 
-def nearest(name: str, known: Iterable[str], aliases: Aliases = NONE) -> str:
-    """Return a question for whoever mistyped one of `known` or calls it as others do, or nothing."""
-    known = list(known)
-    peers, difference = aliases.get(name, ("", ""))
-    likely = [each for each in peers.split() if each in known]
-    if peers and not likely:
-        difference = ""
-    if not (likely or difference):
-        likely = difflib.get_close_matches(name.lower(), known, 1)
-    hint = f"did you mean {' or '.join(likely)}? " if likely else ""
-    return f"{hint}({difference}) " if difference else hint
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a question for whoever mistyped one of `known`, or nothing."""
+    likely = difflib.get_close_matches(name.lower(), list(known), 1)
+    return f"did you mean {likely[0]}? " if likely else ""
 
 
 # -- dataclasses -----------------------------------------------------------------------------

@@ -32,7 +32,6 @@ from .algos.policy import Policy, Spaces
 from .envs import validation, vector
 from .envs.layouts import Layout
 from .envs.validation import require_known
-from .errors import PEERS
 from .machine import WorkerCount, free_cores
 from .runs import evaluation, policies, training
 from .runs.config import RunOptions
@@ -82,7 +81,7 @@ class Learner:
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads)
         require_known(
-            hyperparameters, validation.names(defaults) | {*options, "recipe"}, PEERS
+            hyperparameters, validation.names(defaults) | {*options, "recipe"}
         )
         self.config = validation.replace(defaults, hyperparameters)
         self._run = validation.replace(RunOptions(algo=self.algo), options)
@@ -96,7 +95,7 @@ class Learner:
 
     @property
     def env_steps(self) -> int:
-        """Environment steps learned from so far."""
+        """The environment steps learned from so far."""
         return self._learner.env_steps
 
     def learn(
@@ -153,7 +152,7 @@ class Learner:
         deterministic: bool = True,
         rng: np.random.Generator | None = None,
     ) -> np.ndarray:
-        """Actions of the current policy: see `Policy.act`."""
+        """Return actions of the current policy: see `Policy.act`."""
         return self._learner.policy().act(obs, deterministic, rng)
 
     def save(self, path: str | Path) -> None:
@@ -237,8 +236,8 @@ def design(
     chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
     read = validation.replace(DesignFlags(), chosen)
     read.validate()
-    found = choice.design(read, workers or free_cores())
-    return found.layout(max(found.chosen))
+    result = choice.design(read, workers or free_cores())
+    return result.layout(max(result.chosen))
 
 
 def train(
@@ -321,7 +320,7 @@ def _made(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:
 
 @contextmanager
 def _threads(n: int) -> Iterator[None]:
-    """PyTorch computes with `n` threads inside."""
+    """Have PyTorch compute with `n` threads inside."""
     before = torch.get_num_threads()
     torch.set_num_threads(n)
     try:

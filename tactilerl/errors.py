@@ -5,30 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-PEERS: dict[str, tuple[str, str]] = {
-    name: (ours, difference)
-    for names, ours, difference in (
-        ("batch_size", "minibatch_size", ""),
-        (
-            "blind no_taxels no_touch taxels",
-            "touch",
-            "with off, all taxels read zero",
-        ),
-        ("cuda gpu", "device", "cuda is a GPU"),
-        ("ent_coef", "exploration", "there is no entropy bonus"),
-        ("env_id env_name hand robot", "env", ""),
-        ("learning_rate lr", "actor_lr critic_lr", ""),
-        ("n_envs num_envs", "workers", "results do not depend on it"),
-        ("n_epochs", "n_passes", ""),
-        ("n_steps", "steps_per_epoch", ""),
-        ("n_timesteps num_timesteps timesteps", "total_timesteps", ""),
-        ("net_arch policy_kwargs", "hidden", ""),
-        ("tau", "polyak", "polyak is 1 - tau"),
-    )
-    for name in names.split()
-}
-"""Names that people type, mostly of Stable-Baselines3 and Gymnasium -> (nearest here, difference)."""
-
 BAD_INPUT, BUSY = 2, 75
 """Exit codes of commands that did nothing, since the input was wrong, or since another process is at it
 (EX_TEMPFAIL of sysexits.h)."""
@@ -44,7 +20,7 @@ class BusyError(InputError):
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """InputError where a package of an extra is missing, for what is imported inside."""
+    """Raise InputError where a package of an extra is missing, for what is imported inside."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -70,7 +70,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def content(path: Path, most: int = LARGEST) -> bytes:
-    """All of a file; ValueError where it has more than `most` bytes."""
+    """Return all of a file; ValueError where it has more than `most` bytes."""
     with open_regular(path) as file:
         data = file.read(most + 1)
     if len(data) > most:
@@ -107,7 +107,7 @@ def require_new(path: Path, overwrite: bool = False) -> None:
             "replace it with --overwrite"
         )
     if not is_folder:
-        _require_file(path)
+        require_file(path)
 
 
 @contextmanager
@@ -117,7 +117,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     It is made under a name that nobody knows, so that no link is followed. InputError where a link,
     a folder or a device is at `path`, or nothing can be written; OSError where the disk is full.
     """
-    _require_file(path)
+    require_file(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     with writable(path):
         file = temporary.open("x+b")
@@ -136,15 +136,15 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
 
 
-def _require_file(path: Path) -> None:
+def require_file(path: Path) -> None:
     """Raise InputError where something else than a regular file is at `path`."""
     with writable(path):
         mode = path.lstat().st_mode if os.path.lexists(path) else stat.S_IFREG
     if not stat.S_ISREG(mode):
         kinds = {stat.S_IFLNK: "a link", stat.S_IFDIR: "a folder"}
-        found = kinds.get(stat.S_IFMT(mode), "no file")
+        kind = kinds.get(stat.S_IFMT(mode), "no file")
         raise InputError(
-            f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name"
+            f"cannot write {str(path)!r}: it is {kind}, allowed a file or a new name"
         )
 
 
@@ -164,12 +164,14 @@ def locked(folder: Path) -> Iterator[None]:
     """Keep other processes from writing to a folder, made where there is none.
 
     Raise BusyError naming the process that holds it. The system releases the lock when the process
-    ends, however it ends. What a process left that was killed while it wrote is dropped.
+    ends, however it ends. What a process left that was killed while it wrote is dropped. A
+    folder that turns out to be refused keeps no new lock.
     """
     path = folder / ".lock"
     try:
         with ExitStack() as held:
             with writable(path):
+                is_new = not path.exists()
                 folder.mkdir(parents=True, exist_ok=True)
                 held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
@@ -177,7 +179,12 @@ def locked(folder: Path) -> Iterator[None]:
             for left in (*folder.glob(".*.tmp"), *folder.glob("experience/.*.tmp")):
                 if LEFTOVER.fullmatch(left.name):
                     left.unlink(missing_ok=True)
-            yield
+            try:
+                yield
+            except InputError:
+                if is_new:
+                    path.unlink(missing_ok=True)
+                raise
     except filelock.Timeout:
         holder = (
             path.read_text(encoding="utf-8", errors="replace")[:200]
@@ -188,7 +195,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def writable(path: Path) -> Iterator[None]:
-    """InputError where a place cannot be written to; a full disk stays an OSError."""
+    """Raise InputError where a place cannot be written to; a full disk stays an OSError."""
     try:
         yield
     except OSError as error:

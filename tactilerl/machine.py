@@ -63,10 +63,11 @@ def versions(*more: str) -> dict[str, str]:
 
 def difference(before: Origin, now: Origin) -> str:
     """Return in words what changed between two origins; "" when nothing did."""
-    a, b = before["versions"], now["versions"]
-    pairs = [(name, a.get(name, "none"), b.get(name, "none")) for name in {**a, **b}]
-    pairs.append(("commit", short(before["commit"]), short(now["commit"])))
-    return ", ".join(f"{name} {old} -> {new}" for name, old, new in pairs if old != new)
+    old, new = (
+        {**each["versions"], "commit": short(each["commit"])} for each in (before, now)
+    )
+    changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+    return ", ".join(f"{name} {old.get(name)} -> {new.get(name)}" for name in changed)
 
 
 def short(commit: str | None) -> str:

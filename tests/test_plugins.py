@@ -89,7 +89,7 @@ def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
     fails_with(capsys, [*theirs, "--task", "odd"], odd)
     fails_with(capsys, [*theirs, "--task", "own", "--reward", "x"], "allowed: near, far")
     train = ["train", *theirs[1:], "--algo", "ddpg_her", "--n-test-rollouts", "1", "--task"]
-    flat = "task flat returned an array (2,), allowed numbers of shape (3,)"
+    flat = "task flat: found an array (2,), allowed numbers of shape (3,)"
     fails_with(capsys, [*train, "flat"], flat)
     assert main([*train, "broken"]) == 1
     lines = capsys.readouterr().err.splitlines()

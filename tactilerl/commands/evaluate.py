@@ -14,6 +14,7 @@ from rich.table import Table
 
 from ..algos import UnfitError
 from ..algos.mpi import Communicator
+from ..algos.rollout import FAULTS
 from ..envs import validation
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
@@ -75,8 +76,9 @@ def main(args: list[str]) -> int:
         chosen = {**vars(sensors), "touch": command.touch or scene.touch}
         changed = {k: v for k, v in chosen.items() if v != getattr(scene, k)}
         if scene.touch == "absent" and "touch" in changed:  # inputs that it never had
-            found = f"touch: found {command.touch}"
-            raise InputError(f"{found}, allowed absent, as the run was trained")
+            raise InputError(
+                f"touch: found {command.touch}, allowed absent, as the run was trained"
+            )
         run = dataclasses.replace(run, scene=dataclasses.replace(scene, **changed))
     elif command.touch or read.sensors != SensorConfig():
         raise InputError(
@@ -125,20 +127,16 @@ def _table(result: dict[str, Any]) -> Table:
         title=f"{about}, {result['episodes']} episodes",
         caption="with exploration noise" if result["stochastic"] else noise,
     )  # fmt: skip
-    measures = {
-        "success_rate": ("success rate", ".3f"),
-        "mean_return": ("return", ".2f"),
-    }
-    for measure, (label, form) in measures.items():
+    for measure in ("success_rate", "mean_return"):
         if measure in result:
-            low, high = result[f"{measure}_ci"]
-            interval = f"{low:{form}} – {high:{form}}"
-            table.add_row(label, format(result[measure], form), interval)
+            mean, low, high = result[measure], *result[f"{measure}_ci"]
+            name = measure.replace("_", " ")
+            table.add_row(name, f"{mean:.3f}", f"{low:.3f} – {high:.3f}")
     if result.get("mean_held_steps", 0) > 1:  # where success does not end the episode
         held = f"{result['mean_held_steps']:.1f}"
         table.add_row("steps at the goal, at the end", held, "")
     table.add_row("length", f"{result['mean_length']:.1f}", "")
-    for fault, label in (("diverged", "diverged episodes"), ("warnings", "warnings")):
+    for fault in FAULTS:
         if result[fault]:
-            table.add_row(label, str(result[fault]), "")
+            table.add_row(fault, str(result[fault]), "")
     return table

@@ -60,7 +60,7 @@ class RenderFlags:
 
     @property
     def camera(self) -> Camera:
-        """The camera there."""
+        """The camera that these flags place."""
         return Camera(self.azimuth, self.elevation, self.distance)
 
 
@@ -69,9 +69,9 @@ def main(args: list[str]) -> int:
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
-            found, needed = ("with", "without") if read.run else ("without", "with")
+            here, needed = ("with", "without") if read.run else ("without", "with")
             raise InputError(
-                f"{flag}: found {found} a run folder, allowed only {needed} one"
+                f"{flag}: found {here} a run folder, allowed only {needed} one"
             )
     if read.run:
         hold_seconds = _hold_seconds(read, scene)

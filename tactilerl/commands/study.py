@@ -88,15 +88,15 @@ class Run:
         return 1 if n_failed else 0
 
 
-def _counts(found: Iterable[Record]) -> dict[str, int]:
+def _counts(all_records: Iterable[Record]) -> dict[str, int]:
     """Return how many runs are in each state."""
-    states = [record.state for record in found]
+    states = [record.state for record in all_records]
     return {state: states.count(state) for state in records.STATES}
 
 
-def _print_failures(found: Iterable[Record]) -> int:
+def _print_failures(all_records: Iterable[Record]) -> int:
     """Print every run that failed, and why; return how many."""
-    failed = [record for record in found if record.state == "failed"]
+    failed = [record for record in all_records if record.state == "failed"]
     for record in failed:
         console.print(f"failed: {record.run.name}: {record.reason}")
     return len(failed)
@@ -136,18 +136,18 @@ class Status:
 
     def __call__(self) -> None:
         """Run `tactilerl study status FOLDER`."""
-        study, found = records.load(self.folder)
+        study, all_records = records.load(self.folder)
         if self.json:
-            states = {one.run.name: one.state for one in found}
-            counts = _counts(found)
+            states = {record.run.name: record.state for record in all_records}
+            counts = _counts(all_records)
             print(json.dumps({"study": study.name, **counts, "states": states}))
             return
         table = Table("set-up", *records.STATES, title=f"study {study.name}")
         for setup in study.setups:
-            of_setup = [one for one in found if one.run.setup == setup.name]
+            of_setup = [r for r in all_records if r.run.setup == setup.name]
             table.add_row(setup.name, *map(str, _counts(of_setup).values()))
         console.print(table)
-        _print_failures(found)
+        _print_failures(all_records)
 
 
 @dataclass(frozen=True)

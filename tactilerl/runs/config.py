@@ -24,7 +24,7 @@ from ..envs import hands, layouts, plugins, scenes, validation
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..envs.validation import nearest, require_known
-from ..errors import PEERS, InputError, input_errors
+from ..errors import InputError, input_errors
 from ..machine import WorkerCount
 
 
@@ -107,7 +107,7 @@ class RunConfig:
                     values[k] = (value,)
             chosen[name] = validation.replace(part, values)
             known |= fields
-        require_known(choices, known, PEERS)
+        require_known(choices, known)
         return dataclasses.replace(self, **chosen)
 
     def validate(self) -> None:
@@ -115,12 +115,12 @@ class RunConfig:
         for part in self.parts.values():
             validation.validate(part)
         if (self.scene is None) == hands.is_hand(self.run.env):
-            found = "no scene" if self.scene is None else "a scene"
-            raise ValueError(f"env: found {self.run.env!r} with {found}")
+            scene = "no scene" if self.scene is None else "a scene"
+            raise ValueError(f"env: found {self.run.env!r} with {scene}")
 
     @property
     def make_env(self) -> Callable[..., Any]:
-        """A function that makes one environment; can be pickled.
+        """The function that makes one environment; it can be pickled.
 
         InputError when that would import a module that nobody has asked for, or the files of its
         hand have gone or changed.
@@ -254,7 +254,7 @@ def defaults(
         paper = algos.ALGORITHMS[algo]
         learner = recipes.recipe(algo, recipe or usual)
         known = {"total_timesteps", *validation.names(learner)}
-        require_known(train, known, PEERS)
+        require_known(train, known)
         grasp = None
         if hands.is_hand(env):
             grasp = setup(env, **{"task": paper.task, **named.on(env)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from .. import statistics
 from ..algos.policy import Spaces
 from ..algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
+from ..envs.plugins import require_array
 
 EpisodeCount = Annotated[int, "[1, 100000]"]
 N_RESAMPLES = 9_999
@@ -29,18 +31,14 @@ class OthersPolicy:
 
         Raises ValueError where `policy` is neither.
         """
-        self.choose_for: Callable[[Any], Any] = getattr(policy, "predict", policy)
+        self.choose_for: Callable[..., Any] = getattr(policy, "predict", policy)
         if not callable(self.choose_for):
             raise ValueError(
                 f"policy: found {type(policy).__name__}, allowed what load_policy reads, a learner, "
                 "a function of an observation, or an object with predict"
             )
-        self.options = {}
-        if self.choose_for is not policy:
-            known = inspect.signature(self.choose_for).parameters
-            self.options = (
-                {"deterministic": not stochastic} if "deterministic" in known else {}
-            )
+        if "deterministic" in inspect.signature(self.choose_for).parameters:
+            self.choose_for = partial(self.choose_for, deterministic=not stochastic)
         self.keys = [*getattr(spaces.observation, "spaces", ())]
         self.action = spaces.action
 
@@ -55,18 +53,12 @@ class OthersPolicy:
     def choose(self, view: Any, noise: None = None) -> Any:
         """Return the action for an observation that `read` returned."""
         obs = dict(zip(self.keys, view, strict=True)) if self.keys else view
-        action = self.choose_for(obs, **self.options)
+        action = self.choose_for(obs)
         return action[0] if isinstance(action, tuple) else action
 
     def to_env(self, action: Any) -> np.ndarray:
         """Return an action as an array; ValueError where it has another shape than the space."""
-        action = np.asarray(action, self.action.dtype)
-        if action.shape != self.action.shape:
-            found = f"found an action of shape {action.shape}"
-            raise ValueError(
-                f"policy: {found}, the environment's are {self.action.shape}"
-            )
-        return action
+        return require_array(action, self.action.shape or (), "policy: its action")
 
 
 def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:

@@ -96,8 +96,8 @@ def read_tensors(
             if b"bytearray" in archive.read(values):  # PyTorch makes any length of it
                 raise ValueError("it holds a bytearray")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
-    found = data.get(next(iter(types))) if isinstance(data, dict) else None
-    if type(found) is not int or found != version:
+    number = data.get(next(iter(types))) if isinstance(data, dict) else None
+    if type(number) is not int or number != version:
         raise InputError(f"{path}: not a {kind} of format {version}{hint}")
     if {name: type(value) for name, value in data.items()} != types:
         raise InputError(f"{path}: damaged (found {', '.join(map(str, data))})")

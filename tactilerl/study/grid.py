@@ -33,7 +33,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from ..envs import plugins, validation
 from ..envs.validation import require_one_of
@@ -51,7 +51,6 @@ MOST_RUNS = 10_000  # a slip in a grid multiplies
 
 Score = Literal["area", "final", "converged"]
 """The number that a run is judged by: docs/statistics.md."""
-SCORES: tuple[str, ...] = get_args(Score)
 
 
 @dataclass(frozen=True)

@@ -89,13 +89,13 @@ def check(records: Iterable[Record]) -> None:
             raise InputError(f"run {run.name}: {error}") from error
 
 
-def _require_same(made: RunConfig, asked: RunConfig) -> None:
+def _require_same(made: RunConfig, wanted: RunConfig) -> None:
     """Raise InputError where a run was made with other values, or would be cut."""
     steps = made.run.total_timesteps
-    if asked.run.total_timesteps < steps:
-        found = f"total_timesteps: found {asked.run.total_timesteps}, allowed {steps} or more"
-        raise InputError(f"{found}: a run can be extended, not cut")
-    if difference := made.difference(asked.identity()):
+    if wanted.run.total_timesteps < steps:
+        length = f"total_timesteps: found {wanted.run.total_timesteps}, allowed {steps} or more"
+        raise InputError(f"{length}: a run can be extended, not cut")
+    if difference := made.difference(wanted.identity()):
         hint = "give this study another --out, or move that folder away"
         raise InputError(f"{difference}; {hint}")
 

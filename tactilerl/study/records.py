@@ -257,12 +257,12 @@ def collect(path: Path, out: Path | None = None) -> Path:
 def _unpacked(path: Path) -> dict[str, bytes]:
     """Return the files in a packed file, by name; they are never written by that name."""
     with damage_named(path, "not a collected study of 0.4.0 or later"):
-        data, found = unzip(path), {}
+        data, files = unzip(path), {}
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
                 if entry.type == tarfile.REGTYPE and not entry.issparse():
                     file = archive.extractfile(entry)
-                    found[entry.name] = file.read() if file else b""
-        if STUDY not in found:
+                    files[entry.name] = file.read() if file else b""
+        if STUDY not in files:
             raise ValueError("no study.json in it")
-        return found
+        return files

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jinja2
 
 from .. import statistics
-from ..files import own_folder, replacing
+from ..files import own_folder, replacing, require_file
 from ..machine import short
 from ..statistics import FEW_RUNS, Estimate, fewest_pairs
 from . import figures
@@ -301,7 +301,10 @@ def write(analysis: Analysis, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("tables", "figures"):
         own_folder(folder / name)
-    for path, data in {**files, page: html.encode()}.items():
+    files[page] = html.encode()
+    for path in files:
+        require_file(path)
+    for path, data in files.items():
         with replacing(path) as file:
             file.write(data)
     return page

@@ -22,7 +22,7 @@ COLUMNS = 100
 
 
 def paragraph(label: str, text: str) -> str:
-    """Lines of at most COLUMNS: a label, and the text to the right of it."""
+    """Return lines of at most COLUMNS: a label, and the text to the right of it."""
     return textwrap.fill(
         text, COLUMNS, initial_indent=f"  {label:8} ", subsequent_indent=11 * " ",
         break_long_words=False, break_on_hyphens=False,

@@ -25,7 +25,7 @@ def leave_at_once() -> None:
 
 @contextmanager
 def in_order() -> Iterator[None]:
-    """After `leave_at_once`: Ctrl-C is a KeyboardInterrupt again inside."""
+    """Have Ctrl-C raise KeyboardInterrupt again inside, after `leave_at_once`."""
     is_ours = signal.getsignal(signal.SIGINT) is _leave
     if is_ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)
