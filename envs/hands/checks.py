@@ -15,7 +15,7 @@ from .parts import Parts
 Timestep = Annotated[float, "[1e-05, 1.0]"]
 NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2
 """rad, s, rad: of a hand that should hang still."""
-CLOSING, LOOKS = 1.0, 20  # s; a scripted grasp takes that long
+CLOSING = 1.0  # s; a scripted grasp takes that long
 PRESS, REACHED = 0.3, 0.7
 """N at each fingertip, and the share of its way that a servo goes against it."""
 GROUND_ALONE = 1 << 30  # contact type of a ground that stops nothing
@@ -41,7 +41,7 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     _require_palmar(parts)
     _require_above_ground(hand, model)
     has_own_servos = parts.raw.actuators and not parts.replaced
-    return _weak(hand, model, timestep) if has_own_servos else ()
+    return _weak(hand, model) if has_own_servos else ()
 
 
 def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjData:
@@ -102,9 +102,9 @@ def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
         )
 
 
-def _weak(hand: Hand, model: mujoco.MjModel, timestep: float) -> tuple[str, ...]:
-    """Return a note naming servos that do not close the hand in the air while something presses
-    against each fingertip; none of a tendon of which another joint may go the way."""
+def _weak(hand: Hand, model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return a note naming servos that do not close the hand in time while something presses against
+    each fingertip; none of a tendon of which another joint may go the way."""
     data = _begun(hand, model)
     mujoco.mj_forward(model, data)
     levers, jacobian = np.zeros(model.nv), np.zeros((3, model.nv))
@@ -112,28 +112,19 @@ def _weak(hand: Hand, model: mujoco.MjModel, timestep: float) -> tuple[str, ...]
         body, point = model.body(link).id, placed(data, link, tip)
         mujoco.mj_jac(model, data, jacobian, None, point, body)
         levers += np.linalg.norm(jacobian, axis=0)
-    start = hand.start_targets()
-    closed = {**dict(zip(hand.actuators, start, strict=True)), **hand.closed}
-    for name, target in closed.items():
-        data.actuator(name).ctrl = target
-    ways = np.array([closed[name] for name in hand.actuators]) - start
-    dofs = [int(model.joint(joint).dofadr[0]) for joint in hand.actuated]
-    data.qfrc_applied[dofs] = -np.sign(ways) * PRESS * levers[dofs]
-    places = [int(model.joint(joint).qposadr[0]) for joint in hand.actuated]
-    positions = []
-    for _ in range(LOOKS):
-        mujoco.mj_step(model, data, round(CLOSING / timestep / LOOKS))
-        positions.append(data.qpos[places])
-    reached = np.mean(positions[LOOKS // 2 :], axis=0) - start
     shared = {each.driver for each in hand.couplings if not each.is_rigid}
-    shares = {
-        name: float(end / way)
-        for name, joint, end, way in zip(
-            hand.actuators, hand.actuated, reached, ways, strict=True
-        )
-        if abs(way) > NUDGE and joint not in shared
-    }
-    weak = [name for name, share in shares.items() if not share >= REACHED]
+    shares = {}
+    for name, joint, start in zip(
+        hand.actuators, hand.actuated, hand.start_targets(), strict=True
+    ):
+        way = abs(hand.closed.get(name, start) - start)
+        if way > NUDGE and joint not in shared:
+            stiffness, damping, limit = mount.servo_figures(model, name, joint)
+            pressed = PRESS * levers[model.joint(joint).dofadr[0]]
+            held_back = pressed / stiffness if pressed < limit else way
+            late = np.exp(-CLOSING * stiffness / damping) if damping > 0 else 0.0
+            shares[name] = (1 - held_back / way) * (1 - late)
+    weak = [name for name, share in shares.items() if share < REACHED]
     if not weak:
         return ()
     worst = max(0.0, min(shares.values()))

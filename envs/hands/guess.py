@@ -77,7 +77,7 @@ class Guess:
         if self.keys.pop("servos", None):  # the library's
             self._drop([actuator.name for actuator in self._spec().actuators])
         roots = list(model_file.read(self._parts().unread.model).worldbody.bodies)
-        if len(roots) > 1 and any(map(mount.is_loose, roots)):
+        if len(roots) > 1 and all(map(mount.is_loose, roots)):
             root = max(roots, key=lambda body: len(list(body.find_all("joint"))))
             self.keys["root"] = root.name
             self.notes.append(f"root: left out what is beside {root.name}")

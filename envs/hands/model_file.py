@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import mujoco
+import numpy as np
 
-# Of an element of MjSpec: where it stands, not what it is like.
+# Attributes of an element of MjSpec that say where it stands, not what it is like.
 NOT_DEFAULTS = {
     "id",
     "signature",
@@ -25,24 +26,43 @@ NOT_DEFAULTS = {
 }
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
+MOST_BODIES, MOST_GEOMS = 1_000, 5_000
+LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
+WIDEST = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
+LEAST_INERTIA = 1e-9  # kg m²: what a URDF rounds to zero
 
 
 def read(path: Path) -> mujoco.MjSpec:
-    """A model's file, with nothing of it merged; ValueError in one line."""
-    beside = {
-        os.path.relpath(file, path.parent): file.read_bytes()
-        for file in included(path)[1:]
-    }
-    is_urdf = _root(path).tag == "robot"
+    """Return the model of a file, with nothing of it merged. Raise ValueError in one line for a file
+    that is wrong."""
+    root, files = parsed(path)
+    is_urdf = root.tag == "robot"
     with quiet():
         try:
-            text = _urdf(path) if is_urdf else path.read_text(encoding="utf-8")
-            spec = mujoco.MjSpec.from_string(text, include=beside)
-        except ValueError as error:
+            text = path.read_text(encoding="utf-8")
+            if is_urdf:
+                _prepare_urdf(root, path)
+            if is_urdf or len(files) > 1:
+                text = ElementTree.tostring(root, encoding="unicode")
+            spec = mujoco.MjSpec.from_string(text)
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
+    n_bodies, n_geoms = len(spec.bodies), len(spec.geoms)
+    if n_bodies > MOST_BODIES or n_geoms > MOST_GEOMS:
+        raise ValueError(
+            f"model {path}: found {n_bodies:,} bodies with {n_geoms:,} geoms, allowed "
+            f"{MOST_BODIES:,} with {MOST_GEOMS:,}: make a file of the hand alone"
+        )
     spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
     _forget_defaults(spec)
+    for number, actuator in enumerate(spec.actuators):
+        actuator.name = actuator.name or f"{actuator.target} {number}"
+        figures = [*actuator.gear, *actuator.gainprm, *actuator.biasprm]
+        if not np.isfinite(figures).all():
+            raise ValueError(
+                f"model: actuator {actuator.name!r}: found NaN or infinity, allowed finite numbers"
+            )
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = is_urdf
     for mesh in spec.meshes if is_urdf else ():  # scans are seldom closed
@@ -50,62 +70,75 @@ def read(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _root(path: Path) -> ElementTree.Element:
-    try:
-        return ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, ValueError) as error:
-        raise ValueError(f"model {path}: not valid XML: {error}") from None
+def parsed(path: Path) -> tuple[Element, list[Path]]:
+    """Return the XML of a model's file with what it includes in place, and the paths of all of its
+    files. Raise FileNotFoundError for what is no file, such as a pipe that never ends."""
+    files: list[Path] = []
 
+    def parse(file: Path) -> Element:
+        if file in files:
+            raise ValueError(f"model {path}: found {file} included twice, allowed once")
+        if not file.is_file():
+            raise FileNotFoundError(f"model {str(file)!r} does not exist")
+        files.append(file)
+        try:
+            root = ElementTree.parse(file).getroot()
+        except (ElementTree.ParseError, ValueError) as error:
+            raise ValueError(f"model {file}: not valid XML: {error}") from None
+        for parent in list(root.iter()):
+            for include in parent.findall("include"):
+                name = include.get("file", "")
+                beside = path.parent / name
+                inner = parse(beside if beside.exists() else file.parent / name)
+                at = list(parent).index(include)
+                parent[at : at + 1] = list(inner)
+        return root
 
-def included(path: Path) -> list[Path]:
-    """A model's file and those that it includes; FileNotFoundError for what is no file, such as a pipe
-    that never ends."""
-    found = [path]
-    for each in found:  # grows: a file that is included may include others
-        if not each.is_file():
-            raise FileNotFoundError(f"model {str(each)!r} does not exist")
-        with suppress(ElementTree.ParseError, ValueError):  # MuJoCo says it better
-            root = ElementTree.parse(each).getroot()
-            names = (element.attrib.get("file", "") for element in root.iter("include"))
-            for name in names:  # beside the model, or else beside what includes it
-                places = path.parent / name, each.parent / name
-                other = next((place for place in places if place.exists()), places[0])
-                found += [other] if other not in found else []
-    return found
+    return parse(path), files
 
 
 def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
-    """The files of a model's meshes, textures and height fields; FileNotFoundError for what is there
-    and no file, such as a pipe: MuJoCo would wait for its end."""
+    """Return the files of a model's meshes, textures and height fields. Raise FileNotFoundError for
+    what is there and no file, such as a pipe: MuJoCo would wait for its end."""
     folders = {
         "meshes": spec.meshdir,
         "hfields": spec.meshdir,
         "textures": spec.texturedir,
     }
-    found = [
+    files = [
         path.parent / folder / (Path(each.file).name if spec.strippath else each.file)
         for kind, folder in folders.items()
         for each in getattr(spec, kind)
         if each.file
     ]
-    for file in found:
+    for file in files:
         if file.exists() and not file.is_file():
             raise FileNotFoundError(f"model: found no file {str(file)!r}")
-    return found
+    return files
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """A model; ValueError in one line where it is wrong, or a mesh of it cannot be found."""
+    """Return the compiled model. Raise ValueError in one line where it is wrong, a mesh of it cannot be
+    found, or is in mm."""
     with quiet():
         try:
-            return spec.compile()
+            model = spec.compile()
         except ValueError as error:
             raise ValueError(f"model: {' '.join(str(error).split())}") from None
+    sizes = np.where(model.geom_dataid >= 0, model.geom_rbound, 0.0)
+    if sizes.max(initial=0.0) > LARGEST_MESH:
+        largest = int(np.argmax(sizes))
+        name = model.mesh(model.geom_dataid[largest]).name
+        raise ValueError(
+            f"model: found mesh {name!r} {2 * sizes[largest]:.3g} m large: its file is in mm; say "
+            'scale="0.001 0.001 0.001" where the model names the mesh'
+        )
+    return model
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """MuJoCo's warnings are not written to the terminal, nor to a log where it runs."""
+    """Keep MuJoCo's warnings off the terminal, and from a log where it runs."""
     before, here = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
     here.logto_console = here.logto_file = False
     here.set()
@@ -117,21 +150,22 @@ def quiet() -> Iterator[None]:
 
 
 def _forget_defaults(spec: mujoco.MjSpec) -> None:
-    """What is added from here on is as MuJoCo has it: the file's own elements have their values."""
+    """Make what is added from here on, in the class `spec.default`, as MuJoCo has it: the file's own
+    elements have their values already."""
     fresh = mujoco.MjSpec()
     for kind in ("geom", "joint", "actuator"):
-        own, usual = getattr(spec.default, kind), getattr(fresh.default, kind)
+        changed, usual = getattr(spec.default, kind), getattr(fresh.default, kind)
         for name in set(dir(usual)) - NOT_DEFAULTS:
             if not name.startswith(("_", "set_")):
-                setattr(own, name, getattr(usual, name))
+                setattr(changed, name, getattr(usual, name))
 
 
 # -- URDF ------------------------------------------------------------------------------------
 
 
-def _urdf(path: Path) -> str:
-    """The text of a URDF with meshes where they are found, and without what only pictures need."""
-    robot = _root(path)
+def _prepare_urdf(robot: Element, path: Path) -> None:
+    """Give the meshes of a URDF their absolute paths, and leave out what only pictures need. Raise
+    ValueError for what MuJoCo would drop or misread."""
     options = robot.find("mujoco/compiler")
     folder = path.parent / (options.get("meshdir", "") if options is not None else "")
     for extension in robot.findall("mujoco"):
@@ -139,23 +173,21 @@ def _urdf(path: Path) -> str:
     for link in robot.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
-    unreadable, missing = [], []
     for mesh in robot.iter("mesh"):
         name = mesh.get("filename", "")
-        file = _mesh(name, path.parent, folder)
         if not name.lower().endswith(MESHES):
-            unreadable.append(name)
-        elif file is None:
-            missing.append(name)
-        else:
-            mesh.set("filename", str(file.absolute()))
-    for names, what in ((unreadable, "collision meshes that are neither STL nor OBJ; convert them"),
-                        (missing, "no files for these meshes")):  # fmt: skip
-        if names:
-            more = f" and {len(set(names)) - 3} more" if len(set(names)) > 3 else ""
             raise ValueError(
-                f"found {what}: {', '.join([*dict.fromkeys(names)][:3])}{more}"
+                f"found collision mesh {name}, allowed STL and OBJ: convert it"
             )
+        file = _mesh(name, path.parent, folder)
+        if file is None:
+            raise ValueError(f"found no file for mesh {name}")
+        mesh.set("filename", str(file.absolute()))
+    for inertia in robot.iter("inertia"):
+        for axis in ("ixx", "iyy", "izz"):
+            about = max(float(inertia.get(axis, 0)), LEAST_INERTIA)
+            inertia.set(axis, repr(about))
+    _check_joints(robot)
     extension = ElementTree.SubElement(robot, "mujoco")
     ElementTree.SubElement(
         extension,
@@ -164,12 +196,31 @@ def _urdf(path: Path) -> str:
         fusestatic="false",
         discardvisual="false",
     )
-    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _check_joints(robot: Element) -> None:
+    """Raise ValueError for limits in degrees, and for a joint that follows none that moves."""
+    joints = robot.findall("joint")
+    moving = {joint.get("name") for joint in joints if joint.get("type") != "fixed"}
+    for joint in joints:
+        name, limit, mimic = joint.get("name"), joint.find("limit"), joint.find("mimic")
+        if limit is not None and joint.get("type") == "revolute":
+            ends = [float(limit.get(end, 0)) for end in ("lower", "upper")]
+            if max(map(abs, ends)) > WIDEST:
+                raise ValueError(
+                    f"joint {name!r}: found limits {ends}, allowed radians: these are degrees; "
+                    "multiply them by pi / 180"
+                )
+        if mimic is not None and mimic.get("joint") not in moving - {name}:
+            raise ValueError(
+                f"joint {name!r}: found <mimic> of {mimic.get('joint')!r}, allowed another joint that "
+                "moves"
+            )
 
 
 def _mesh(name: str, *folders: Path) -> Path | None:
-    """Where a mesh of a URDF is: beside it, under its meshdir, or in a package that a folder above it
-    belongs to."""
+    """Return the file of a URDF's mesh: beside it, under its meshdir, or in a package that a folder
+    above it belongs to. None where there is none."""
     first = folders[0].absolute()
     if name.startswith(PACKAGE):
         package, _, inside = name.removeprefix(PACKAGE).partition("/")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import filter as filter_names
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,12 @@ Positive = Annotated[float, "[0, 1e9]"]
 Vector = tuple[Number, Number, Number]
 Span = tuple[Number, Number]
 BASE = "base of all roots"
+OBJECT, GROUND, GIVER = "object", "ground", "giver"
+"""Names of what is in a scene besides the hand."""
+RESERVED = {OBJECT, GROUND, *SLIDES}
+KINDS = ("tendons", "actuators", "sites", "geoms", "bodies")  # of what can be left out
+UNRANGED = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
+"""End of the range that a driven joint without one gets, to both sides, rad or m."""
 FREE = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -43,38 +50,38 @@ class Slides:
     """The slides of the whole hand, and how actions move them."""
 
     gain: Positive = 1000.0
-    """N/m"""
+    """Position gain, N/m."""
     damping: Positive = 79.0
-    """N s/m"""
+    """Damping, N s/m."""
     force: Positive = 30.0
-    """N. Without a limit on it the hand would be pressed into the ground."""
+    """Largest force, N. Without a limit on it the hand would be pressed into the ground."""
     centre: Vector | None = None
-    """Where action 0 has them, m; default: at the height of the last grasp."""
+    """Position at action 0, m; default: the height of the last grasp."""
     half_range: tuple[Fraction, Fraction, Fraction] = (0.03, 0.03, 0.20)
-    """How far actions of 1 move them from there, m."""
+    """Distances that actions of 1 move them from there, m."""
     step: Vector = (0.01, 0.01, 0.2)
-    """How far actions that are increments move them, m."""
+    """Distances that actions of 1 move them where actions are increments, m."""
     limits: tuple[Span, Span, Span] = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))
-    """Around the grasping height, of actions that are increments, m."""
+    """Limits around the grasping height where actions are increments, m."""
 
 
 @dataclass(frozen=True)
 class HingeServo:
-    """What a hinge gets whose model has no servos."""
+    """The servo of a hinge whose model has none."""
 
     gain: Positive = 10.0
-    """N m/rad"""
+    """Position gain, N m/rad."""
     damping: Positive = 0.5
-    """N m s/rad"""
+    """Damping of the joint, N m s/rad."""
     armature: Positive = 0.01
-    """kg m²"""
+    """Inertia of the motor, kg m²."""
     limit: Positive = 1.0
-    """N m"""
+    """Largest torque, N m."""
 
 
 @dataclass(frozen=True)
 class SlideServo(HingeServo):
-    """What a slide of a finger gets, in N/m and so on."""
+    """The servo of a finger's slide whose model has none, in N/m and so on."""
 
     gain: Positive = 1000.0
     damping: Positive = 50.0
@@ -92,41 +99,41 @@ class Servos:
 
 @dataclass(frozen=True)
 class Mount:
-    """Builds the hand of a scene from its model; plain values, so that it can be pickled."""
+    """Build the hand of a scene from its model; plain values, so that it can be pickled."""
 
     model: Path
     palm: str
     drop: tuple[str, ...] = ()
-    """Patterns of names of what is left out of the model: bodies, geoms, tendons, actuators, sites."""
+    """Name patterns of bodies, geoms, tendons, actuators and sites that are left out of the model."""
     root: str = ""
-    """The body from which on the model is the hand; all of it where it is empty."""
+    """Body from which on the model is the hand; all of it where this is empty."""
     fuses: bool = True
-    """Are bodies that are fixed to a link part of it?"""
+    """True where bodies that are fixed to a link are part of it."""
     keeps_servos: bool = True
-    """Those of the model, if it has some."""
+    """True to keep the model's servos, if it has some."""
     couplings: tuple[Coupling, ...] = ()
-    """Those of the hand's file."""
+    """Couplings of the hand's file."""
     passive: tuple[str, ...] = ()
     """Joints that get no servo."""
     ranges: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    """Of joints that have another than in the model, rad or m."""
+    """Ranges of joints that have another than in the model, rad or m."""
     masses: dict[str, float] = field(default_factory=dict)
-    """Of bodies that weigh something else than in the model, kg."""
+    """Masses of bodies that weigh something else than in the model, kg."""
     keeps_contacts: bool = False
-    """Do links touch what the model says, each other too? Else only the object and the ground."""
+    """True where links touch what the model says; else only the object and the ground."""
     slides: Slides = Slides()
     servos: Servos = Servos()
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the model's root body, m."""
+    """Position of the model's root body, m."""
     rotation: tuple[tuple[float, ...], ...] = ()
-    """(3, 3) of the root body."""
+    """Rotation (3, 3) of the root body."""
     is_turned: bool = False
-    """Does the model give it another?"""
+    """True where that is not the model's own."""
     files: tuple[Path, ...] = ()
-    """The model's, with what it includes and its meshes."""
+    """Files of the model, with what it includes and its meshes."""
 
     def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
-        """The hand alone as an editable model: no ground, no object, no taxels.
+        """Return the hand alone as an editable model: no ground, no object, no taxels.
 
         `visual` keeps what only pictures need. `finger_gain` multiplies the position gain and force
         limit of the fingers' actuators.
@@ -140,22 +147,23 @@ class Mount:
             angle = float(np.linalg.norm(turn))
             axis = np.round(turn / max(angle, 1e-9), 12)
             root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
-        damping = [self.slides.damping, 0, 0]
         for name, axis in zip(SLIDES, rotation, strict=True):
-            root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
+            slide = root.add_joint(spec.default, name=name, type=LINEAR, axis=axis)
+            slide.damping = [self.slides.damping, 0, 0]
             add_servo(spec, name, self.slides.gain, self.slides.force)
-        for actuator in spec.actuators if finger_gain != 1.0 else ():
+        if finger_gain == 1.0:
+            return spec
+        carrying = chain(spec.body(self.palm))
+        for actuator in spec.actuators:
             moved = spec.joint(next(iter(arms(spec, actuator)))).parent.name
-            if moved not in chain(
-                spec.body(self.palm)
-            ):  # it moves a finger, and not the palm
+            if moved not in carrying:  # it moves a finger, and not the palm
                 for figure in ("gainprm", "biasprm", "forcerange"):
                     value = np.array(getattr(actuator, figure)) * finger_gain
                     setattr(actuator, figure, value)
         return spec
 
     def bare(self, visual: bool = False) -> mujoco.MjSpec:
-        """The model with its joints and actuators as they will be, where its file has it."""
+        """Return the model with its joints and actuators as they will be, where its file has it."""
         spec = self.unfused(visual)
         if self.fuses and any(map(is_fixed, spec.bodies)):
             for exclude in spec.excludes:  # a body that one names is not fused
@@ -168,9 +176,8 @@ class Mount:
                 body.fuse = is_fixed(body)
             with model_file.quiet():
                 spec.fuse_static()
-        if (
-            not self.keeps_contacts
-        ):  # contype without conaffinity meets the object and the ground
+        if not self.keeps_contacts:
+            # A contype without conaffinity meets the object and the ground.
             for pair in (*spec.pairs, *spec.excludes):
                 spec.delete(pair)
             for geom in spec.geoms:
@@ -181,11 +188,17 @@ class Mount:
         return spec
 
     def unfused(self, visual: bool = False) -> mujoco.MjSpec:
-        """The model without what is left out, its bodies carried, what is fixed to them not yet part of
-        them."""
+        """Return the model without what is left out, its bodies carried, what is fixed to them not yet
+        part of them. Raise ValueError where it has the name of something else in a scene."""
         spec = model_file.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
+        for element in (*spec.bodies, *spec.joints, *spec.geoms):
+            if element.name in RESERVED:
+                raise ValueError(
+                    f"model: found a part called {element.name!r}, which something else in every scene "
+                    "is called; rename it"
+                )
         if not visual:
             spec.discard_visual()
         for body in spec.bodies[1:]:
@@ -202,25 +215,22 @@ class Mount:
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
-        """Delete what the file says, and what a scene has of its own or has no use for."""
-        kinds = ("tendons", "actuators", "sites", "geoms", "bodies")
-        names = [each.name for kind in kinds for each in getattr(spec, kind)]
+        """Delete what the file says, what moves freely beside the hand, and what a scene has of its own
+        or has no use for."""
+        names = [each.name for kind in KINDS for each in getattr(spec, kind)]
         for pattern in self.drop:
             if not filter_names(names, pattern):
                 raise ValueError(
                     f"drop: found {pattern!r}, which nothing in the model is called"
                 )
-        for kind in kinds:
-            chosen = {
-                name
-                for pattern in self.drop
-                for name in filter_names([e.name for e in getattr(spec, kind)], pattern)
-            } - {"world"}
-            elements = [e for e in getattr(spec, kind) if e.name in chosen]
-            if kind == "bodies":  # one takes along what hangs on it
-                elements = [e for e in elements if not chosen & {*chain(e)[:-1]}]
-            for element in elements:
-                spec.delete(element)
+            for kind in KINDS:
+                for element in reversed(list(getattr(spec, kind))):  # children first
+                    if element.name != "world" and fnmatchcase(element.name, pattern):
+                        spec.delete(element)
+        roots = list(spec.worldbody.bodies)
+        if not self.root and not all(map(is_loose, roots)):
+            for body in filter(is_loose, roots):
+                spec.delete(body)
         used = {geom.meshname for geom in spec.geoms}
         flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
         alone = len(list(spec.worldbody.bodies)) == 1
@@ -235,8 +245,8 @@ class Mount:
             spec.delete(element)
 
     def _couple(self, spec: mujoco.MjSpec) -> None:
-        """By an equality, what the file couples and neither a tendon nor an equality of the model does;
-        what follows another by one gets what a servo's joint has, or it yields under load."""
+        """Couple by an equality what the file couples and neither a tendon nor an equality of the model
+        does. What follows another by one gets what a servo's joint has, or it yields under load."""
         if not self.fuses:
             return
         tied = {part.target.name for tendon in spec.tendons for part in tendon.path
@@ -254,22 +264,32 @@ class Mount:
             damp(joint, self._servo(joint))
 
     def _drive(self, spec: mujoco.MjSpec) -> None:
-        """The model's servos in the units of their joints, or the library's on all joints but those
-        that follow another or are passive."""
+        """Have the model's servos in the units of their joints, or the library's on all joints but
+        those that follow another or are passive; and have all of them know a range."""
         if not self.keeps_servos:
             for actuator in spec.actuators:
                 spec.delete(actuator)
         for actuator in spec.actuators:
             if self.fuses and is_servo(spec, actuator):
                 measure_in_joints(spec, actuator)
-        if spec.actuators:
-            return
         followers = {coupling.joint for coupling in followed(spec)}
-        for joint in spec.joints:
+        for joint in spec.joints if not spec.actuators else ():
             if joint.name not in followers and joint.name not in self.passive:
                 servo = self._servo(joint)
                 damp(joint, servo)
                 add_servo(spec, joint.name, servo.gain, servo.limit)
+        for actuator in spec.actuators:
+            for name in arms(spec, actuator):
+                joint = spec.joint(name)
+                if (
+                    is_unranged(joint)
+                    and actuator.ctrlrange[0] == actuator.ctrlrange[1]
+                ):
+                    end = UNRANGED[joint.type] / _unit(joint)
+                    joint.range, joint.limited = (
+                        [-end, end],
+                        mujoco.mjtLimited.mjLIMITED_TRUE,
+                    )
 
     def _servo(self, joint: mujoco.MjsJoint) -> HingeServo:
         return self.servos.slide if joint.type == LINEAR else self.servos.hinge
@@ -281,9 +301,9 @@ def _make_light(body: mujoco.MjsBody) -> None:
 
 
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
-    """Several bodies at the root are on one rigid base, and so is one that is in a frame or moves on a
-    joint; a body that is named as root is all that there is, with what it carries, at rest. ValueError
-    where there is none, or some move freely."""
+    """Return the model with a single body at its root. Several are put on one rigid base, and so is one
+    that is in a frame or moves on a joint; a body that is named as root is all that there is, with what
+    it carries, at rest. Raise ValueError where there is none, or several move freely."""
     roots, chosen = list(spec.worldbody.bodies), spec.body(root) if root else None
     if root and chosen is None:
         raise ValueError(f"root: found no body {root!r} in the model")
@@ -296,7 +316,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     elif not root and (not roots or any(map(is_loose, roots))):
         names = ", ".join(body.name for body in roots)
         raise ValueError(
-            f"model: found {len(roots)} bodies at its root ({names}), allowed one, or several that are "
+            f"model: found {len(roots)} bodies at its root ({names}), allowed one, or some that are "
             'fixed; leave others out with drop = ["NAME"]'
         )
     whole = mujoco.MjSpec()
@@ -329,25 +349,25 @@ def chain(body: mujoco.MjsBody) -> list[str]:
 
 
 def loops(spec: mujoco.MjSpec) -> list[set[str]]:
-    """The bodies of each loop that an equality of the model closes."""
-    found = []
+    """Return the bodies of each loop that an equality of the model closes."""
+    loops_closed = []
     for equality in spec.equalities:
         if equality.type in LOOPS and equality.active and equality.name2:
             ends = equality.name1, equality.name2
             if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
                 ends = tuple(spec.site(name).parent.name for name in ends)
             first, second = (set(chain(spec.body(name))) for name in ends)
-            found.append(first ^ second)
-    return found
+            loops_closed.append(first ^ second)
+    return loops_closed
 
 
 def is_loose(body: mujoco.MjsBody) -> bool:
-    """Does it move by itself, or is it moved from outside?"""
+    """Return whether a body moves by itself, or is moved from outside."""
     return bool(body.mocap) or any(joint.type == FREE for joint in body.joints)
 
 
 def is_fixed(body: mujoco.MjsBody) -> bool:
-    """To another body, that is: not at the root, and without joints."""
+    """Return whether a body is fixed to another: not at the root, and without joints."""
     return (
         body.name != "world" and body.parent.name != "world" and not list(body.joints)
     )
@@ -360,8 +380,16 @@ def link_of(body: mujoco.MjsBody) -> mujoco.MjsBody:
     return body
 
 
+def is_unranged(joint: mujoco.MjsJoint) -> bool:
+    """Return whether a joint has no range."""
+    is_auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
+    return joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or bool(
+        is_auto and joint.range[0] == joint.range[1]
+    )
+
+
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
-    """Bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
+    """Return bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
 
     def weighs(body: mujoco.MjsBody) -> bool:
         fixed = (weighs(child) for child in body.bodies if not list(child.joints))
@@ -371,8 +399,8 @@ def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
-    """Where an equality of the model couples two joints: the second drives, unless only the first has
-    a servo; ValueError where not by a straight line."""
+    """Yield a coupling where an equality of the model couples two joints: the second drives, unless
+    only the first has a servo. Raise ValueError where it is no straight line."""
     driven = {joint for actuator in spec.actuators for joint in arms(spec, actuator)}
     for equality in spec.equalities:
         if (
@@ -395,7 +423,7 @@ def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
 
 
 def _unit(joint: mujoco.MjsJoint) -> float:
-    """Of a joint's angles in its model: 1 or a degree, rad; of what slides 1 m."""
+    """Return the unit of a joint's positions in its model: 1 or a degree in rad, or 1 m."""
     return (
         float(np.radians(1.0))
         if joint.compiler.degree and joint.type != LINEAR
@@ -404,7 +432,7 @@ def _unit(joint: mujoco.MjsJoint) -> float:
 
 
 def _rest(spec: mujoco.MjSpec, joint: str, driver: str, ratio: float) -> float:
-    """What a coupled joint is beyond `ratio` times its driver where both are at their `ref`."""
+    """Return what a coupled joint is beyond `ratio` times its driver where both are at their `ref`."""
     rest, of_driver = (
         each.ref * _unit(each) for each in map(spec.joint, (joint, driver))
     )
@@ -412,7 +440,7 @@ def _rest(spec: mujoco.MjSpec, joint: str, driver: str, ratio: float) -> float:
 
 
 def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:
-    """The rotation (3, 3) of the root with which the palm (3, 3) looks down, fingers along -y."""
+    """Return the rotation (3, 3) of the root with which the palm (3, 3) looks down."""
     axes = np.column_stack([palmar, fingers, np.cross(palmar, fingers)])
     return np.round(PALM_DOWN @ axes.T @ palm_in_root.T, 12) + 0.0
 
@@ -421,20 +449,21 @@ def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:
 
 
 def add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
-    """An actuator of the joint's name: force = gain x (target - position), at most `limit`."""
+    """Add an actuator of the joint's name: force = gain x (target - position), at most `limit`."""
     servo = spec.add_actuator(name=joint, target=joint, trntype=JOINT)
     servo.forcelimited, servo.forcerange = True, [-limit, limit]
     servo.set_to_position(kp=gain)
 
 
 def damp(joint: mujoco.MjsJoint, servo: HingeServo) -> None:
-    """At least the damping and the armature of the library's servos."""
+    """Give a joint at least the damping and the armature of the library's servos."""
     joint.damping = np.maximum(joint.damping, [servo.damping, 0, 0])
     joint.armature = max(joint.armature, servo.armature)
 
 
 def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
-    """Does it pull a joint, or a tendon over joints, towards the position that is its control?"""
+    """Return whether it pulls a joint, or a tendon over joints, towards the position that is its
+    control."""
     is_affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
     is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
     pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
@@ -443,8 +472,8 @@ def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
 
 
 def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
-    """What each joint adds to the length of an actuator, per rad or m; {} where that depends on where
-    they are."""
+    """Return what each joint adds to the length of an actuator, per rad or m; {} where that depends on
+    where they are."""
     gear = float(actuator.gear[0])
     if actuator.trntype == JOINT:
         return {actuator.target: gear}
@@ -457,8 +486,8 @@ def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
 
 
 def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
-    """Have the control of a servo be the position of its joint, or of all joints of its tendon, as
-    they are where the servo holds still."""
+    """Make the control of a servo the position of its joint, or of all joints of its tendon, as they
+    are where the servo holds still."""
     gain, offset = actuator.gainprm[0], actuator.biasprm[0]
     stiffness, length = -actuator.biasprm[1], sum(arms(spec, actuator).values())
     if gain == stiffness and offset == 0 and length == 1:
@@ -468,10 +497,25 @@ def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None
     actuator.gainprm[0], actuator.biasprm[0] = stiffness * length, 0.0
 
 
+def servo_figures(
+    model: mujoco.MjModel, name: str, joint: str
+) -> tuple[float, float, float]:
+    """Return stiffness, damping and largest force of a servo of a compiled model, at its joint, in SI
+    units."""
+    servo, moved = model.actuator(name), model.joint(joint)
+    gain = servo.gainprm[0]
+    arm = float(gain / -servo.biasprm[1])  # force on the joint by the servo's
+    damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
+    limit = gain * np.ptp(moved.range)
+    if servo.forcelimited[0]:
+        limit = servo.forcerange[1]
+    return float(gain * arm), float(damping), float(limit) * arm
+
+
 def hold(
     model: mujoco.MjModel, data: mujoco.MjData, actuators: list[int], targets: Array
 ) -> None:
-    """Have servos hold these targets from now on, and before: in what they filter and delay, too."""
+    """Make servos hold these targets from now on, and before: in what they filter and delay, too."""
     data.ctrl[actuators] = targets
     for actuator, target in zip(actuators, targets, strict=True):
         if model.actuator_actnum[actuator]:

@@ -263,24 +263,12 @@ class Parts:
     def files(self) -> tuple[Path, ...]:
         """The files of the model."""
         path = self.unread.model
-        return (*model_file.included(path), *model_file.assets(path, self.raw))
+        return (*model_file.parsed(path)[1], *model_file.assets(path, self.raw))
 
     @cached_property
     def model(self) -> mujoco.MjModel:
         """`spec`, compiled."""
-        model = model_file.compiled(self.spec)
-        free = [
-            joint
-            for joint, actuator in self.driven.items()
-            if not model.joint(joint).limited[0]
-            and not model.actuator(actuator).ctrllimited[0]
-        ]
-        if free:
-            raise ValueError(
-                f"joint {free[0]!r}: has no range; give it one: [ranges] "
-                f'"{free[0]}" = [low, high]; all without: {", ".join(free)}'
-            )
-        return model
+        return model_file.compiled(self.spec)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:

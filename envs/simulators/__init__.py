@@ -20,10 +20,6 @@ if TYPE_CHECKING:
     import mujoco
 
 
-OBJECT, GROUND, GIVER = "object", "ground", "giver"
-"""Names of what is in a scene besides the hand."""
-
-
 class SimulationError(FloatingPointError):
     """The physics produced NaN or infinity, or ran out of memory; the scene must be reset."""
 

@@ -17,12 +17,9 @@ import mujoco
 import numpy as np
 
 from ..hands import model_file
-from ..hands.mount import hold
+from ..hands.mount import GIVER, GROUND, OBJECT, hold
 from ..state import Array, Contacts, Shape, State
 from . import (
-    GIVER,
-    GROUND,
-    OBJECT,
     Camera,
     Giver,
     Scene,

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from ..hands import model_file
 from ..hands.hand import Coupling
+from ..hands.mount import servo_figures
 from ..state import Array, Contacts, Shape, State, places
 from . import Camera, Scene, SimulationError, Simulator, Sphere, joint_limits, urdf
 from .mujoco import MujocoSimulator
@@ -184,15 +185,9 @@ class PyBulletSimulator(Simulator):
         hand, model = self.scene.hand, self.model
         limits, gains = [], []
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
-            servo, moved = model.actuator(actuator), model.joint(joint)
-            gain = servo.gainprm[0]
-            arm = float(gain / -servo.biasprm[1])  # force on the joint by the servo's
-            damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
-            limit = gain * np.ptp(moved.range)
-            if servo.forcelimited[0]:
-                limit = servo.forcerange[1]
-            limits.append(float(limit) * arm)
-            rate = float(gain * arm / max(damping, TINY))
+            stiffness, damping, limit = servo_figures(model, actuator, joint)
+            limits.append(limit)
+            rate = stiffness / max(damping, TINY)
             gains.append(min(1.0, rate * self.scene.timestep))
         soft = [each for each in hand.couplings if not each.is_rigid]
         self._drivers = [hand.actuated.index(each.driver) for each in soft]
