@@ -78,7 +78,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         closed={driven[joint]: angle for joint, angle in parts.closed.items()},
         groups=_groups(parts),
         notes=_notes(parts),
-        finger_length=_finger_length(parts, sides),
+        finger_length=_finger_length(sides),
         reach=_reach(parts),
         welded=parts.welded,
         sensors=surfaces.sensors(parts) if parts.is_own else (),
@@ -88,30 +88,31 @@ def _hand(parts: Parts, path: Path) -> Hand:
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:
-    """Say what became of the model's servos."""
-    notes = []
-    if names := ", ".join(parts.replaced):
-        notes.append(
-            f"its actuators ({names}) are not all position servos of different joints: the joints have "
-            "the library's"
-        )
-    if parts.passive:
-        notes.append(f"joints without servos: {', '.join(parts.passive)}")
-    return tuple(notes)
+    """Say what was left out or put into the model."""
+    unranged = [j.name for j in parts.raw.joints if mount.is_unranged(j)]
+    bodies = {body.name for body in parts.raw.bodies}
+    roots = model_file.read(parts.unread.model).worldbody.bodies
+    loose = [b.name for b in roots if mount.is_loose(b) and b.name not in bodies]
+    if not parts.is_own:
+        loose = []
+    notes = {
+        "left out, as they move freely beside the hand: ": loose,
+        "joints have the library's servos, as these are not one a joint: ": parts.replaced,
+        "joints without servos: ": parts.passive,
+        "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
+        "another: ": [joint for joint in parts.driven if joint in unranged],
+    }
+    return tuple(text + ", ".join(names) for text, names in notes.items() if names)
 
 
-def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
-    """Return the length of the longest digit: of its bones, where all its links are such, else from
-    joint to joint, m."""
-    data, lengths = posed(parts.model, parts.open_pose), []
-    for tip, (name, digit) in zip(parts.tips(data), parts.digits.items(), strict=True):
-        bones = [s.span for s in sides if s.digit == name and s.bone]
-        joints = np.array([*(data.body(link).xpos for link in digit.links), tip])
-        length = float(np.linalg.norm(np.diff(joints, axis=0), axis=1).sum())
-        if len(bones) == len(digit.links):
-            length = sum(high - low for low, high, _ in bones)
-        lengths.append(length)
-    return max(lengths)
+def _finger_length(sides: tuple[Surface, ...]) -> float:
+    """Return the length of the longest digit, m: of all its segments."""
+    lengths: dict[str, float] = {}
+    for side in sides:
+        if side.segment != "palm":
+            low, high, _ = side.span
+            lengths[side.digit] = lengths.get(side.digit, 0.0) + (high - low)
+    return max(lengths.values())
 
 
 def _reach(parts: Parts) -> float:

@@ -21,7 +21,6 @@ from ..hands.mount import GIVER, GROUND, OBJECT, hold
 from ..state import Array, Contacts, Shape, State
 from . import (
     Camera,
-    Giver,
     Scene,
     Sensor,
     SimulationError,
@@ -42,8 +41,24 @@ SURROUNDINGS = f"""
     <geom name="{GROUND}" type="plane" size="1 1 0.1" rgba="0.8 0.8 0.8 1"/>
     <light pos="0.1 -0.2 -0.6" dir="-0.1 0.2 0.6" diffuse="0.3 0.3 0.3"/>
     <light pos="0.3 -0.5 1" dir="-0.3 0.5 -1" diffuse="0.5 0.5 0.5"/>
+    <site name="{GIVER}" group="{NOT_DRAWN}"/>
+    <body name="{OBJECT}" pos="0 0 {{z!r}}">
+      <freejoint name="{OBJECT}"/>
+      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" mass="{{mass!r}}" condim="4" priority="1"
+            friction="{{friction!r}} 0.005 0.001" rgba="0.95 0.45 0.1 {{opacity}}"/>
+      <site name="{OBJECT}" group="{NOT_DRAWN}"/>
+    </body>
   </worldbody>
+  <actuator>{{actuators}}</actuator>
 </mujoco>"""
+# The priority is for the object's friction: else MuJoCo takes the larger of the two in contact.
+SPRING = f"""
+<general name="{GIVER}{{axis}}" site="{OBJECT}" refsite="{GIVER}" gear="{{gear}}" dyntype="integrator"
+         gainprm="{{stiffness!r}}" biastype="affine" biasprm="0 -{{stiffness!r}} -{{damping!r}}"
+         forcerange="-{{force!r}} {{force!r}}" actlimited="true" actrange="-1 1"
+         group="{GIVERS_GROUP}"/>"""
+"""A damped spring along an axis of the world, whose rest point, the actuator's activation, goes at the
+speed that is its control and stays within the activation's range."""
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
@@ -70,72 +85,40 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
     spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
-    _surround(spec)
-    _add_object(spec, scene)
-    if scene.giver is not None:
-        _add_giver(spec, scene.giver)
+    _take_textures(spec)
+    with model_file.quiet():
+        spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
     for number, sensor in enumerate(scene.sensors):
         _add_touch_sensor(spec, f"sensor{number}", sensor)
     return spec
 
 
-def _surround(spec: mujoco.MjSpec) -> None:
-    """Add the ground and light, in place of the hand model's background and textures.
-
-    The files of these are seldom published with the model.
-    """
+def _take_textures(spec: mujoco.MjSpec) -> None:
+    """Remove a hand model's background and textures, whose files are seldom published."""
     spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.3, 0.4
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     for texture in spec.textures:
         spec.delete(texture)
-    surroundings = mujoco.MjSpec.from_string(SURROUNDINGS)
-    with model_file.quiet():
-        spec.attach(surroundings, prefix="", frame=spec.worldbody.add_frame())
 
 
-def _add_giver(spec: mujoco.MjSpec, giver: Giver) -> None:
-    """Add a damped spring along each axis of the world.
-
-    Its rest point, the actuator's activation, goes at the speed that is its control and stays within
-    the activation's range.
-    """
-    spec.worldbody.add_site(name=GIVER, group=NOT_DRAWN)
-    spec.body(OBJECT).add_site(name=OBJECT, group=NOT_DRAWN)
-    for axis in range(3):
-        spec.add_actuator(
-            name=f"{GIVER}{axis}",
-            trntype=mujoco.mjtTrn.mjTRN_SITE,
-            target=OBJECT,
-            refsite=GIVER,
-            gear=np.eye(6)[axis],
-            dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            gainprm=[giver.stiffness] + [0] * 9,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            biasprm=[0, -giver.stiffness, -giver.damping] + [0] * 7,
-            forcelimited=True,
-            forcerange=[-giver.force, giver.force],
-            actlimited=True,
-            actrange=[-1, 1],
-            group=GIVERS_GROUP,
-        )
-
-
-def _add_object(spec: mujoco.MjSpec, scene: Scene) -> None:
-    x, _, z = scene.shape.half_size
-    body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, z])
-    body.add_freejoint(name=OBJECT)
-    body.add_geom(
-        name=OBJECT,
-        type=getattr(GEOM, f"mjGEOM_{scene.shape.kind.upper()}"),
-        size=(x, z, 0.0) if scene.shape.kind == "cylinder" else scene.shape.half_size,
+def _surroundings(scene: Scene) -> mujoco.MjSpec:
+    """Return what is in a scene besides the hand: ground, light, object and giver."""
+    x, y, z = scene.shape.half_size
+    springs = [
+        SPRING.format(axis=axis, gear="0 " * axis + "1", **vars(scene.giver))
+        for axis in range(3 if scene.giver else 0)
+    ]
+    text = SURROUNDINGS.format(
+        kind=scene.shape.kind,
+        size=f"{x!r} {z!r}" if scene.shape.kind == "cylinder" else f"{x!r} {y!r} {z!r}",
+        z=z,
         mass=scene.mass,
-        condim=4,
-        friction=[scene.friction, 0.005, 0.001],
-        priority=1,  # else MuJoCo takes the larger friction of the two in contact
-        rgba=[0.95, 0.45, 0.1, 0.6 if scene.visual else 1.0],
+        friction=scene.friction,
+        opacity=0.6 if scene.visual else 1.0,
+        actuators="".join(springs),
     )
+    return mujoco.MjSpec.from_string(text)
 
 
 def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
@@ -293,9 +276,7 @@ class MujocoSimulator(Simulator):
         if scene is self.scene:
             return
         self.scene, model = scene, self.model
-        alone = mujoco.MjSpec()
-        _add_object(alone, scene)
-        compiled = alone.compile()
+        compiled = _surroundings(scene).compile()
         for part, names in OBJECT_FIGURES.items():
             here, there = (getattr(m, part)(OBJECT).id for m in (model, compiled))
             for name in names:

@@ -13,12 +13,11 @@ import numpy as np
 
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import ScriptedGrasp
+from ..envs.hands import Hand, ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
 from ..envs.state import Array
 from ..errors import InputError, extra
 from ..files import replacing
-from ..style import ROLES
 from .hand_map import PAPER, TaxelMap, lettered, save_picture
 
 Pose = Literal["start", "grasp"]
@@ -30,9 +29,10 @@ HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
-# Pixels: of the scene, of the lines above it and their letters, of the hand unrolled in a corner.
-SIDE, LINES, LETTERS, UNROLLED = 480, 88, (40, 26), 190
+SIDE, LINES, LETTERS = 480, 88, (40, 26)
+"""Pixels of a film: height of the scene, of the lines above it, and of their letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
+TO_FINGERS = np.array([0.0, -0.2, -0.25])  # from the palm, in reaches of the hand
 
 
 def picture(
@@ -54,13 +54,32 @@ def picture(
             grasp = grasp or scripted.grasp_for(env)
             for _ in scripted.hold_steps(env, grasp, scripted.Offsets(), seconds=0.5):
                 pass
-        image, fires = env.picture(camera), env.taxel_readings() > 0
-        if config.touch == "on":  # what is hard to see in the hand's shade
-            unrolled = TaxelMap(env.hand, env.taxels, camera.height).picture(fires)
-            image = np.hstack([image, unrolled])
+        image = _Artist(env, camera).draw()
         with replacing(out) as file:
             save_picture(image, file, out.suffix)
-        return int(fires.sum())
+        return int((env.taxel_readings() > 0).sum())
+
+
+class _Artist:
+    """Draw the hand of an environment, and beside it what its taxels feel, where it has taxels."""
+
+    def __init__(self, env: GraspEnv, camera: Camera) -> None:
+        self.env = env
+        size = env.hand.reach / Hand.reach
+        self._camera = replace(camera, distance=size * camera.distance)
+        self._map: TaxelMap | None = None
+        if env.config.touch != "absent":
+            self._map = TaxelMap(env.hand, env.taxels, camera.height)
+
+    def draw(self) -> Array:
+        """Return an RGB picture (height, width, 3) uint8 with the hand in its middle."""
+        env = self.env
+        middle = env.simulator.state().palm + env.hand.reach * TO_FINGERS
+        image = env.picture(replace(self._camera, lookat=tuple(middle.tolist())))
+        if self._map is None:
+            return image
+        felt = env.taxel_readings() * (env.config.touch == "on")
+        return np.hstack([image, self._map.picture(felt > 0)])
 
 
 def staged(
@@ -97,20 +116,17 @@ class _Player:
         self, run: Path, hold_seconds: float, camera: Camera, tick: Callable[[], None]
     ) -> None:
         self.env, self._play = staged(run, hold_seconds, "rgb_array")
-        scene = self.env.config
-        self.name, self.label = run.name, ROLES.get(scene.touch, scene.touch)
-        every = max(1, int(1 / FPS / scene.timestep + 1e-6))
-        self.fps = 1 / (every * scene.timestep)
-        self._map: TaxelMap | None = None
-        if scene.touch == "on":
-            self._map = TaxelMap(self.env.hand, self.env.taxels, UNROLLED)
-        self._camera, self._tick, self._successes, self._number = camera, tick, 0, 0
+        timestep = self.env.config.timestep
+        every = max(1, int(1 / FPS / timestep + 1e-6))
+        self.fps = 1 / (every * timestep)
+        self.label, self._successes, self._number = run.name, 0, 0
+        self._artist, self._tick = _Artist(self.env, camera), tick
         self._pictures: list[Array] = []
         filmed: Any = Filmed(self.env.simulator, every, self._show)
         self.env.simulator = filmed
 
     def film(self, number: int) -> tuple[list[Array], bool]:
-        """Return an episode's pictures; does it succeed?"""
+        """Return an episode's pictures, and whether it succeeds."""
         self._number, self._pictures = number, []
         success = self._play(number)
         self._successes += success
@@ -118,20 +134,13 @@ class _Player:
         return self._pictures + self._pictures[-1:] * END_PICTURES, success
 
     def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
-        """Add a picture: the scene, two lines above it, in a corner what the taxels feel."""
-        state = self.env.simulator.state()
-        if not self._pictures:  # where the camera looks, from the palm, m
-            self._beside = (state.object_position - state.palm) / 3
-        lookat = tuple((state.palm + self._beside).tolist())
-        image = self.env.picture(replace(self._camera, lookat=lookat))
-        if self._map is not None:
-            unrolled = self._map.picture(self.env.taxel_readings() > 0)
-            image[-unrolled.shape[0] :, -unrolled.shape[1] :] = unrolled
+        """Add a picture, with two lines above it."""
+        image = self._artist.draw()
         lines = (
             f"{self.label}{outcome}",
             f"start {self._number + 1}, successes so far: {self._successes}",
         )
-        head = np.full((LINES, SIDE, 3), colour, np.uint8)
+        head = np.full((LINES, image.shape[1], 3), colour, np.uint8)
         for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):
             head = lettered(head, [(text, 14, y)], size, "ls")
         self._pictures.append(np.vstack([head, image]))
@@ -158,18 +167,22 @@ def film(
         players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:
             opened.callback(player.env.close)
-        if len({player.label for player in players}) < len(players):
-            for player in players:
-                player.label = player.name
         if len({player.fps for player in players}) > 1:
             raise InputError("render: found runs whose timesteps differ")
-        size = SIDE * len(runs), SIDE + LINES
-        options = {"macro_block_size": 2, "output_params": PLAYABLE}
-        writer = ffmpeg.write_frames(out, size, fps=players[0].fps, **options)
-        opened.enter_context(closing(writer)).send(None)
+        writer = None
         for number in range(episodes):
             played = [player.film(number) for player in players]
             films, successes = zip(*played, strict=True)
+            if writer is None:
+                size = sum(film[0].shape[1] for film in films), SIDE + LINES
+                writer = ffmpeg.write_frames(
+                    out,
+                    size,
+                    fps=players[0].fps,
+                    macro_block_size=2,
+                    output_params=PLAYABLE,
+                )
+                opened.enter_context(closing(writer)).send(None)
             for i in range(max(map(len, films))):  # a shorter film waits at its end
                 images = [film[min(i, len(film) - 1)] for film in films]
                 writer.send(np.ascontiguousarray(np.hstack(images)))
@@ -177,7 +190,7 @@ def film(
 
 
 class Filmed:
-    """A simulator that calls `show` after every `every` timesteps."""
+    """Wrap a simulator so that it calls `show` after every `every` timesteps."""
 
     def __init__(
         self, simulator: Simulator, every: int, show: Callable[[], None]
@@ -200,7 +213,7 @@ class Filmed:
 
 
 def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
-    """Return the module that writes it; InputError where `out` cannot be written."""
+    """Return the module that writes it. Raise InputError where `out` cannot be written."""
     if out.suffix.lower() not in endings:
         allowed = f"names that end in {', '.join(endings)}"
         raise InputError(f"{flag}: found {out.name!r}, allowed {allowed}")

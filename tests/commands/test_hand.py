@@ -196,8 +196,11 @@ def test_what_is_in_a_scene_beside_the_hand_is_left_out():
     ball = '<body name="ball"><freejoint/><geom size="0.02"/></body>'
     seen = '<body name="seen" mocap="true"><geom size="0.02"/></body>'
     about, notes = guessed(MODEL.replace("</worldbody>", f"{ball}{seen}</worldbody>"))
-    assert about["root"] == "palm"
-    assert notes == ["root: left out what is beside palm"]
+    assert "root" not in about
+    assert not notes
+    assert (
+        hands.get("hand.toml").notes[0] == "left out, as they move freely beside the hand: ball, seen"
+    )
 
 
 def test_a_urdf_whose_palm_hangs_on_a_frame():

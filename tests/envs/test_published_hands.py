@@ -202,7 +202,7 @@ class TestServos:
     def test_what_is_no_set_of_position_servos_is_replaced_with_a_note(self, made, more):
         hand = hands.get(made(with_more(servos(*more))))
         assert len(hand.actuated) == 7
-        assert "the joints have the library's" in hand.notes[0]
+        assert "joints have the library's servos" in hand.notes[0]
 
     def test_weak_servos_are_named(self, made):
         weak = [servo.replace('"5"', '"0.05"') for servo in ALL]
@@ -264,6 +264,10 @@ class TestServos:
         (tmp_path / "in/b.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>')
         path, beside = made(with_more('<include file="in/a.xml"/>')), tmp_path / "in/b.xml"
         assert beside in hands.get(path).build.files
+        (tmp_path / "in/a.xml").write_text('<mujoco><include file="a.xml"/></mujoco>')
+        with pytest.raises(ValueError, match=r"in/a\.xml included twice, allowed once"):
+            hands.get(path)
+        (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
         (tmp_path / "b.xml").write_text('<mujoco><option timestep="0.002"/></mujoco>')
         hands._read.clear()
         assert beside not in hands.get(path).build.files  # MuJoCo prefers what is beside the model
@@ -286,8 +290,14 @@ NO_HANDS = [
     (with_more(servos(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""), r'closed.l_b: .* drop = \["r_a"\]'),
     (on_palm(BALL), TOML, "a joint of body 'pad': is a ball joint, allowed hinges"),
     (on_palm(EMPTY), TOML, r'leave them out: drop = \["e0", "e1"\]'),
-    (MODEL.replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \(palm, ball\)"),
-    (UNLIMITED, TOML, r"joint 'l_a': has no range; .*\[ranges\] \"l_a\" = \[low"),
+    (on_palm("<freejoint/>").replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \("),
+    (on_palm('<body name="object"/>'), TOML, "found a part called 'object'"),
+    (
+        on_palm(f"<replicate count='1001'><body>{PALM}</body></replicate>"),
+        TOML,
+        "found 1,0.. bodies with",
+    ),
+    (with_more(servos(*ALL).replace("/>", ' gear="nan"/>', 1)), TOML, "actuator 'l_a': found NaN"),
 ]
 
 
@@ -301,6 +311,31 @@ class TestModels:
             assert hand.fingertips[0] == ("l_2", pytest.approx((0.048, 0, 0)))
             assert len(hand.surfaces[1].geoms) == 2
         assert hand.welded["l_tip"].link == "l_2"
+
+    def test_what_moves_freely_beside_the_hand_is_left_out(self, made):
+        hand = hands.get(made(MODEL.replace(FINGERS, FINGERS + FREE)))
+        assert hand.notes == ("left out, as they move freely beside the hand: ball",)
+        assert all(body.name != "ball" for body in hand.build().bodies)
+
+    def test_actuators_need_no_names(self, made):
+        unnamed = [servo.replace(f'name="{servo[16:19]}" ', "") for servo in ALL]
+        hand = hands.get(made(with_more(servos(*unnamed))))
+        assert hand.actuated[3:] == ("l_a", "l_b", "r_a", "r_b")
+        assert not hand.notes
+
+    def test_slides_have_nothing_of_the_models_defaults(self, made):
+        joint = '<joint limited="true" armature="5" frictionloss="9" stiffness="7"/>'
+        default = f'<default><default class="g">{joint}</default></default><worldbody>'
+        model = MODEL.replace("<worldbody>", default)
+        hand = hands.get(made(model.replace('name="palm"', 'name="palm" childclass="g"')))
+        slide = hand.build().compile().joint("slide_x")
+        assert [*slide.limited, *slide.armature, *slide.frictionloss, *slide.stiffness] == [0] * 4
+
+    def test_what_is_excluded_from_contacts_may_be_fixed_to_a_link(self, made):
+        pad = f'<body name="{{n}}_tip">{TIP}</body>'
+        exclude = '<contact><exclude body1="l_tip" body2="palm"/></contact>'
+        model = with_more(exclude).replace(FINGERS, fingers(pad))
+        assert hands.get(made(model)).welded["l_tip"].link == "l_2"
 
     def test_a_models_own_floor_is_left_out(self, made):
         floor = '<worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 0.08"/>'
@@ -320,6 +355,9 @@ class TestModels:
     def test_a_range_may_be_given(self, made):
         path = made(UNLIMITED, TOML.replace("[closed]", "[ranges]\nl_a = [0, 1]\n[closed]"))
         assert hands.get(path).action_map.centre[3] == 0.5
+        hand = hands.get(made(UNLIMITED))
+        assert hand.action_map.half_range[3] == 1.57
+        assert hand.notes[0].endswith("gives them another: l_a")
 
     @pytest.mark.parametrize(("model", "toml", "complaint"), NO_HANDS)
     def test_what_is_no_hand_is_refused_by_name(self, made, model, toml, complaint):
@@ -370,21 +408,36 @@ class TestUrdf:
         hand = hands.get(path)
         assert hand.surfaces[0].geoms[0].kind == "mesh"
         assert folder / "bone.obj" in hand.build.files
+        in_mm = urdf(f'<mesh filename="{place}" scale="1e3 1e3 1e3"/>')
+        with pytest.raises(ValueError, match=r"found mesh .* m large: its file is in mm; say scale="):
+            hands.get(made(in_mm, URDF, "hand.urdf"))
 
     @pytest.mark.parametrize(
         ("model", "complaint"),
         [
-            (urdf('<mesh filename="a/bone.dae"/>'), "neither STL nor OBJ; convert them: a/bone.dae"),
             (
-                urdf('<mesh filename="package://no/bone.stl"/>'),
-                "no files for these meshes: package://no",
+                urdf('<mesh filename="a/bone.dae"/>'),
+                "found collision mesh a/bone.dae, allowed STL and OBJ",
             ),
-            (urdf(kind="continuous"), r"joint 'l_b': has no range; .*: l_b, r_b"),
+            (urdf('<mesh filename="package://no/bone.stl"/>'), "found no file for mesh package://no"),
+            (
+                urdf().replace('upper="1.5"', 'upper="90"'),
+                r"'l_a': found limits \[0.0, 90.0\], .* degrees",
+            ),
+            (
+                urdf(mimic='<mimic joint="{n}_x"/>'),
+                "joint 'l_b': found <mimic> of 'l_x', allowed another",
+            ),
         ],
     )
     def test_what_is_missing_is_said(self, made, model, complaint):
         with pytest.raises(ValueError, match=complaint):
             hands.get(made(model, URDF, "hand.urdf"))
+
+    def test_inertias_may_be_rounded_to_zero_and_joints_continuous(self, made):
+        model = urdf(kind="continuous").replace('izz="1e-5"', 'izz="0"')
+        hand = hands.get(made(model, URDF, "hand.urdf"))
+        assert hand.notes[0].endswith("gives them another: l_b, r_b")
 
     def test_a_mimic_has_its_offset(self, made):
         mimic = '<mimic joint="{n}_a" multiplier="0.5" offset="0.7"/>'
