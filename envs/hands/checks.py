@@ -122,7 +122,7 @@ def _weak(hand: Hand, model: mujoco.MjModel) -> tuple[str, ...]:
             stiffness, damping, limit = mount.servo_figures(model, name, joint)
             pressed = PRESS * levers[model.joint(joint).dofadr[0]]
             held_back = pressed / stiffness if pressed < limit else way
-            late = np.exp(-CLOSING * stiffness / damping) if damping > 0 else 0.0
+            late = np.exp(-0.75 * CLOSING * stiffness / damping) if damping > 0 else 0.0
             shares[name] = (1 - held_back / way) * (1 - late)
     weak = [name for name, share in shares.items() if share < REACHED]
     if not weak:
