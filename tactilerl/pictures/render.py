@@ -32,7 +32,7 @@ END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 SIDE, LINES, LETTERS = 480, 88, (40, 26)
 """Pixels of a film: height of the scene, of the lines above it, and of their letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
-TO_FINGERS = np.array([0.0, -0.2, -0.25])  # from the palm, in reaches of the hand
+NEAR = 0.6  # reaches of the hand that an object may be from the palm to be looked at
 
 
 def picture(
@@ -74,7 +74,10 @@ class _Artist:
     def draw(self) -> Array:
         """Return an RGB picture (height, width, 3) uint8 with the hand in its middle."""
         env = self.env
-        middle = env.simulator.state().palm + env.hand.reach * TO_FINGERS
+        state = env.simulator.state()
+        towards = state.object_position - state.palm
+        share = min(1.0, NEAR * env.hand.reach / float(np.linalg.norm(towards)))
+        middle = state.palm + share * towards / 2
         image = env.picture(replace(self._camera, lookat=tuple(middle.tolist())))
         if self._map is None:
             return image
