@@ -130,6 +130,13 @@ class TestCouplings:
         for n in "lr":
             assert found[f"{n}_b"] == pytest.approx(0.3 + 0.8 * found[f"{n}_a"], abs=0.02)
 
+    def test_followers_stay_in_their_range(self, made, simulator):
+        env = made_env(made(with_more(coupled("0.7 1 0")), FOLLOWERS), simulator)
+        targets = env.hand.start_targets()
+        targets[3:] = 1.5  # with which followers would be at 2.2
+        positions = reached(env, targets, 8)
+        assert 1.4 < positions["l_b"] < 1.52
+
     def test_the_joint_that_has_the_servo_drives(self, made):
         """Whichever of the two the equality names first."""
         hand = hands.get(made(with_more(coupled("-0.6 2 0", "a", "b"), servos(*ALL[::2])), FOLLOWERS))
