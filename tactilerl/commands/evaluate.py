@@ -129,9 +129,10 @@ def _table(result: dict[str, Any]) -> Table:
     )  # fmt: skip
     for measure in ("success_rate", "mean_return"):
         if measure in result:
-            mean, low, high = result[measure], *result[f"{measure}_ci"]
+            low, high = result[f"{measure}_ci"]
+            interval = f"{low:.3f} – {high:.3f}"
             name = measure.replace("_", " ")
-            table.add_row(name, f"{mean:.3f}", f"{low:.3f} – {high:.3f}")
+            table.add_row(name, f"{result[measure]:.3f}", interval)
     if result.get("mean_held_steps", 0) > 1:  # where success does not end the episode
         held = f"{result['mean_held_steps']:.1f}"
         table.add_row("steps at the goal, at the end", held, "")
