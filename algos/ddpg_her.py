@@ -72,13 +72,13 @@ class DDPGHERConfig:
     action_l2: NotNegative = 1.0
     """Weight of the mean squared action in the actor's loss."""
     clip_obs: Positive32 = 200.0
-    """Bound on observations and goals before they are normalised."""
+    """Bound on observations and goals before they are normalized."""
     norm_clip: Positive32 = 5.0
-    """Bound on observations and goals after they are normalised."""
+    """Bound on observations and goals after they are normalized."""
     taxel_scale: TaxelScale = "each"
     """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
-    gain for all, so that together they count as much as 24 normalised inputs, however many they
-    are; each: every one normalised by itself."""
+    gain for all, so that together they count as much as 24 normalized inputs, however many they
+    are; each: every one normalized by itself."""
     batch_size: Count = 256
     """Transitions per update, in each process."""
     n_rollouts: Count = 2
@@ -103,12 +103,12 @@ class DDPGHERConfig:
     """Combination of the gradients of several processes (source: sum)."""
     clip_target: bool = True
     """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source), wider
-    once rewards below -1 or above 0 are seen. With --normalise-rewards it follows all rewards."""
+    once rewards below -1 or above 0 are seen. With --normalize-rewards it follows all rewards."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
     since the source has no done mask; terminal: it is not.
     """
-    normalise_rewards: bool = False
+    normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
     reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean
     the same; rewards of -1 and 0 stay as they are."""
@@ -268,7 +268,7 @@ class DDPGHER(Learner):
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
         # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
-        self.worst = self.reward_scale = 0.0 if config.normalise_rewards else 1.0
+        self.worst = self.reward_scale = 0.0 if config.normalize_rewards else 1.0
         self.best = 0.0
         self._largest_return = 0.0  # of the last episodes
 
@@ -468,7 +468,7 @@ class DDPGHER(Learner):
         gathered = self.comm.all_gather(mine)
         worst, best, largest = zip((self.worst, self.best, 0.0), *gathered, strict=True)
         self.worst, self.best = float(max(worst)), float(max(best))
-        if not self.config.normalise_rewards:
+        if not self.config.normalize_rewards:
             return
         of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
         scale = float(max(self.worst, self.best, *largest)) / of_ones

@@ -206,16 +206,16 @@ def input_stats(
     space: gym.Space[Any],
     comm: Communicator,
     clip: float,
-    normalise: bool,
+    normalize: bool,
     taxel_scale: TaxelScale,
 ) -> Normalizer:
     """Return moments of flat observations, before anything was seen.
 
     Entries between 0 and 1, such as Boolean taxels, are scaled as `taxel_scale` says (see
-    `PPOConfig.taxel_scale`), all others where `normalise` is true.
+    `PPOConfig.taxel_scale`), all others where `normalize` is true.
     """
     taxels = may_be_boolean(space)
-    as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalise))
+    as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalize))
     return Normalizer(
         len(taxels), comm, clip, as_is, block=taxels & (taxel_scale == "block")
     )

@@ -92,14 +92,14 @@ class PPOConfig:
     orthogonal_init: bool = False
     """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
     uniform in ±1/sqrt(inputs)."""
-    normalise_obs: bool = False
-    """Normalise observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
+    normalize_obs: bool = False
+    """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
     Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
-    all, so that together they count as much as 24 normalised inputs, however many they are; each:
-    every one normalised by itself."""
-    normalise_rewards: bool = False
+    all, so that together they count as much as 24 normalized inputs, however many they are; each:
+    every one normalized by itself."""
+    normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as 1. The critic's
     learning rate then means the same, whatever unit rewards have."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
@@ -153,7 +153,7 @@ def gae(
     return np.array(discounted(deltas, gamma * lam))
 
 
-def normalise(advantages: Array) -> Array:
+def normalize(advantages: Array) -> Array:
     """Return advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
     centred = advantages - advantages.mean()
     std = np.sqrt(np.square(centred).mean())
@@ -272,7 +272,7 @@ class PPO(Learner):
         self.before_update: dict[str, Any] = {}
         self.failure, self.failure_share = 0.0, 1.0
         self.failures = 0  # episodes since then, all with that return
-        self.reward_scale = 0.0 if config.normalise_rewards else 1.0
+        self.reward_scale = 0.0 if config.normalize_rewards else 1.0
         self.lowest_reward = self.highest_reward = 0.0  # of all so far, 0 included
 
     def describe(self) -> str:
@@ -465,12 +465,12 @@ class PPO(Learner):
         returns = finite(advantage + all_values[~is_last], "a return")
         obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
         taken = np.concatenate([np.stack(episode.actions) for episode in episodes])
-        actions, normalised, target = (
+        actions, normalized, target = (
             torch.from_numpy(values.astype(np.float32)).to(self.device)
-            for values in (taken, normalise(advantage), returns)
+            for values in (taken, normalize(advantage), returns)
         )
         log_prob = self.gaussian.log_prob(actions, self.actor(obs))
-        return Transitions(obs, actions, log_prob, normalised, target)
+        return Transitions(obs, actions, log_prob, normalized, target)
 
     def _update_reward_scale(self) -> None:
         """Let the scale of rewards grow to the largest return so far.
@@ -478,7 +478,7 @@ class PPO(Learner):
         The critic's last layer shrinks as it grows, so that values in the environment's unit stay
         (van Hasselt et al. 2016).
         """
-        if not self.config.normalise_rewards:
+        if not self.config.normalize_rewards:
             return
         gamma = self.config.gamma
         largest = max(largest_return(e.rewards, gamma) for e in self._episodes)
@@ -535,7 +535,7 @@ def _policy_parts(
         spaces.observation,
         Communicator(),
         OBS_CLIP,
-        config.normalise_obs,
+        config.normalize_obs,
         config.taxel_scale,
     )
     return actor, gaussian, stats

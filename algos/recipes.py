@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 from . import get
@@ -15,7 +15,7 @@ PAPER = "paper"  # every learner's own defaults
 STEADY_PPO = PPOConfig(
     exploration="learned",
     orthogonal_init=True,
-    normalise_obs=True,
+    normalize_obs=True,
     n_passes=10,
     minibatch_size=64,
     critic_lr=3e-4,
@@ -30,7 +30,7 @@ STEADY_DDPG = DDPGHERConfig(
     anneal_action_l2=True,
 )
 SCALED = replace(
-    STEADY_DDPG, normalise_rewards=True, termination="terminal", action_l2=0.1
+    STEADY_DDPG, normalize_rewards=True, termination="terminal", action_l2=0.1
 )
 BEYOND: dict[str, dict[str, Any]] = {
     "ppo": {
@@ -40,7 +40,7 @@ BEYOND: dict[str, dict[str, Any]] = {
             steps_per_epoch=500,
             action_variance=0.2,
             std_lr=1e-3,
-            normalise_rewards=True,
+            normalize_rewards=True,
             taxel_scale="block",
             undo_silent=True,
             anneal_lr=True,
@@ -70,9 +70,3 @@ def recipe(algorithm: str, name: str = PAPER) -> Any:
             f"recipe: found {name!r}, allowed for {algorithm}: {', '.join(known)}"
         )
     return known[name]
-
-
-def completed(algorithm: str, saved: dict[str, Any]) -> dict[str, Any]:
-    """Return hyperparameters of a file, with the defaults of those that 0.4.0 did not have."""
-    config_type, _ = get(algorithm)
-    return asdict(config_type()) | saved

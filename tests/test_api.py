@@ -199,7 +199,7 @@ class TestLearner:
         assert json.loads(json.dumps(result))["success_rate"] == float(said)
 
     def test_a_wrapper_whose_statistics_are_lost_is_warned_of(self):
-        with pytest.warns(UserWarning, match="normalise_obs"):
+        with pytest.warns(UserWarning, match="normalize_obs"):
             tactilerl.PPO(gym.wrappers.NormalizeObservation(Short()), **SHORT)
 
     def test_progress_is_what_the_command_shows(self, capsys):

@@ -40,7 +40,7 @@ class Looks(BaseCallback):
         self.start = start
 
     def act(self, obs: Any) -> np.ndarray:
-        """Return the action for one observation, normalised where the learner's are."""
+        """Return the action for one observation, normalized where the learner's are."""
         if normalizer := self.model.get_vec_normalize_env():
             obs = normalizer.normalize_obs(obs)
         return self.model.predict(obs, deterministic=True)[0]
@@ -58,10 +58,10 @@ class Looks(BaseCallback):
 
 
 def sb3_ddpg(
-    env: Any, seed: int, config: DDPGHERConfig, max_steps: int, normalise: bool = False
+    env: Any, seed: int, config: DDPGHERConfig, max_steps: int, normalize: bool = False
 ) -> Any:
     """Return Stable-Baselines3's DDPG with its HER buffer as `config`."""
-    if normalise:
+    if normalize:
         env = VecNormalize(DummyVecEnv([lambda: env]), norm_reward=False, clip_obs=config.norm_clip)
     none = np.zeros(env.action_space.shape)
     noise = NormalActionNoise(none, none + config.noise_eps)

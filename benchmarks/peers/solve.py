@@ -2,12 +2,12 @@
 
 Both libraries get the hyperparameters of tests/algos/test_toy_learning.py. What cannot be made equal:
 
-- PPO: Stable-Baselines3 clips the gradient of actor and critic together, normalises advantages
+- PPO: Stable-Baselines3 clips the gradient of actor and critic together, normalizes advantages
   in each minibatch, and its mean action has no tanh. Its policy's variance is fixed and its first
   weights are orthogonal, as ours are here.
 - DDPG+HER: Stable-Baselines3 has no penalty on actions, no bounds on targets and no uniformly
   random actions but in the first episodes. Its target networks move a little with every update, as
-  far in forty as ours do in one step after them. It runs without a normaliser of observations, as it
+  far in forty as ours do in one step after them. It runs without a normalizer of observations, as it
   does by default, and with VecNormalize, as ours always has one.
 """
 
@@ -150,7 +150,7 @@ TOYS = {
         10_000,
         DDPGHER,
         DDPG_CONFIG,
-        {THEIRS: their_ddpg, f"{THEIRS}, VecNormalize": partial(their_ddpg, normalise=True)},
+        {THEIRS: their_ddpg, f"{THEIRS}, VecNormalize": partial(their_ddpg, normalize=True)},
     ),
 }
 

@@ -69,6 +69,8 @@ ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
 # Fields of 0.4.0 that are no more, with the values that mean what this version does.
 GONE = {"critic_sees": "observation"}
+# Names of fields in 0.4.0 -> today's.
+RENAMED = {"normalise_obs": "normalize_obs", "normalise_rewards": "normalize_rewards"}
 LENGTH_COUNTS = (
     " and anneals (--anneal-lr and the like) to zero over that length, so it cannot be extended: "
     "begin a run of the whole length, or one without annealing"
@@ -211,7 +213,12 @@ def _completed(kind: type, saved: dict[str, Any]) -> dict[str, Any]:
     """
     usual = json.loads(json.dumps(dataclasses.asdict(kind())))
     known = {k: v for k, v in saved.items() if k not in GONE or v != GONE[k]}
-    return {**usual, **known}
+    return {**usual, **renamed(known)}
+
+
+def renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
+    """Return choices by today's names of fields, from those of 0.4.0 or today's."""
+    return {RENAMED.get(name, name): value for name, value in choices.items()}
 
 
 def from_saved(kind: type[T], saved: Any, where: str) -> T:
@@ -235,7 +242,8 @@ def defaults(
     with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
         env = env or named.env
-        train = {"algo": RunOptions.algo, "recipe": recipes.PAPER, **named.train}
+        train = {"algo": RunOptions.algo, "recipe": recipes.PAPER}
+        train |= renamed(named.train)
         for name in ("algo", "recipe"):
             where = f"scene {scene}: train: {name}"
             validation.require_type(train[name], str, where)
@@ -271,7 +279,8 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
     are plain, as TOML or JSON has them. Raises InputError naming the first that is wrong.
     """
     deciding = {key: choices.get(key) for key in ("algo", "env", "recipe", "scene")}
-    rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}
+    names = ("recipe", "scene")
+    rest = renamed({k: v for k, v in choices.items() if k not in names})
     with input_errors():
         for key, value in deciding.items():
             validation.require_type(value, str | None, key)

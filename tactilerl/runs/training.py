@@ -79,7 +79,7 @@ def _warn_of_wrappers(env: Any) -> None:
             kind = type(env).__name__
             warnings.warn(
                 f"{kind} keeps statistics that no policy is saved with and that differ with the number "
-                "of workers, as results then do; use normalise_obs (--normalise-obs)",
+                "of workers, as results then do; use normalize_obs (--normalize-obs)",
                 stacklevel=2,
             )
         env = env.env

@@ -198,7 +198,7 @@ class TestUnitOfRewards:
         torch.testing.assert_close(*both, atol=tolerance, rtol=0)
 
     def test_a_larger_return_leaves_what_the_critics_say_of_rewards(self):
-        learner = trained(2, make(Ended(), normalise_rewards=True))
+        learner = trained(2, make(Ended(), normalize_rewards=True))
         inputs, before = torch.ones(5, 9), learner.reward_scale
         critics = learner.critic, learner.target_critic
         said = [before * critic(inputs) for critic in critics]
@@ -329,7 +329,7 @@ class TestUpdate:
         torch.testing.assert_close([p.grad for p in learner.critic_parameters], [*of_critic])
         torch.testing.assert_close(got, torch.stack([critic_loss, actor_loss, value]).detach())
 
-    def test_what_is_observed_is_cut_before_it_is_normalised(self):
+    def test_what_is_observed_is_cut_before_it_is_normalized(self):
         learner = trained(1, make(GoalEnv(scale=1e3), clip_obs=50.0))
         batch = learner.replay.sample(64, 0.8)
         assert np.abs(batch.obs).max() > 500
@@ -347,7 +347,7 @@ class TestUpdate:
             assert low <= seen.max() <= high
             assert (seen.min() == 0.0) == (scale != "each")
 
-    def test_normaliser_is_fed_relabelled_goals_of_new_episodes(self):
+    def test_normalizer_is_fed_relabelled_goals_of_new_episodes(self):
         learner, asked = make(), []
         sample = learner.replay.sample
         learner.replay.sample = lambda *args: asked.append(args) or sample(*args)

@@ -75,7 +75,7 @@ assert mpi.same_on_all_ranks(comm, vec(parts))
 start = vec(DDPGHER(config, pool, alone, 0, 1))
 moved = (vec(whole) - start).norm()
 assert (vec(whole) - vec(parts)).norm() < 1e-3 * moved
-# and the normaliser has seen one stream
+# and the normalizer has seen one stream
 for rows in 1e6 + rng.standard_normal((5, 3, 10, 2)):
     parts.goal_stats.update(rows[comm.rank])
     whole.goal_stats.update(rows.reshape(-1, 2))

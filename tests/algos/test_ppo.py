@@ -13,7 +13,7 @@ import torch
 from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy, Spaces
-from tactilerl.algos.ppo import PPO, PPOConfig, gae, normalise, surrogate
+from tactilerl.algos.ppo import PPO, PPOConfig, gae, normalize, surrogate
 from tactilerl.envs import vector
 
 from states import flat
@@ -104,7 +104,7 @@ class TestDensityAndLoss:
 
 
 class TestBatch:
-    def test_returns_and_normalised_advantages(self):
+    def test_returns_and_normalized_advantages(self):
         ppo = make_ppo(scripted(length=7))
         ppo.collect()
         obs, actions, old, advantages, returns = ppo._batch()
@@ -116,7 +116,7 @@ class TestBatch:
         np.testing.assert_allclose(advantages.numpy(), (raw - raw.mean()) / raw.std(), atol=1e-4)
 
     def test_all_equal_advantages_become_zero(self):
-        assert normalise(np.full(50, 1e6 + 0.1)).tolist() == [0.0] * 50
+        assert normalize(np.full(50, 1e6 + 0.1)).tolist() == [0.0] * 50
 
     def test_observations_are_copied(self):
         """An environment may hand out the same buffer again and again."""
@@ -145,18 +145,18 @@ class TestBatch:
                 expected += [*(advantages + values[:-1])]
             np.testing.assert_allclose(ppo._batch().returns.numpy(), expected, rtol=1e-4)
 
-    def test_normalised_rewards_mean_the_same_in_any_unit(self):
+    def test_normalized_rewards_mean_the_same_in_any_unit(self):
         learners = []
         for unit in (1.0, 1024.0):  # a power of two, so that floats are exact
             workers = scripted(length=7, reward=lambda rng, unit=unit: unit * rng.standard_normal())
-            learners.append(trained(make_ppo(workers, normalise_rewards=True), 3))
+            learners.append(trained(make_ppo(workers, normalize_rewards=True), 3))
         one, other = learners
         assert other.reward_scale == 1024.0 * one.reward_scale
         assert parameters(one.critic).tolist() == parameters(other.critic).tolist()
         assert parameters(one.actor).tolist() == parameters(other.actor).tolist()
 
     def test_values_stay_when_the_scale_of_rewards_grows(self):
-        ppo = trained(make_ppo(scripted(length=7), normalise_rewards=True), 1)
+        ppo = trained(make_ppo(scripted(length=7), normalize_rewards=True), 1)
         obs, scale = torch.ones(4, 3), ppo.reward_scale
         values = scale * ppo.critic(obs)
         ppo._episodes[0].rewards[-1] = -10.0 * scale
@@ -228,20 +228,20 @@ class TestLearning:
             torch.testing.assert_close(learned.abs(), torch.full_like(learned, lr))
         assert not log_std()[0].any()
 
-    @pytest.mark.parametrize("normalise", [False, True])
+    @pytest.mark.parametrize("normalize", [False, True])
     @pytest.mark.parametrize("scale", ["none", "block", "each"])
-    def test_taxels_have_a_scale_of_their_own(self, normalise, scale):
-        """Others are normalised or not, whatever taxels are; a saved policy sees the same."""
+    def test_taxels_have_a_scale_of_their_own(self, normalize, scale):
+        """Others are normalized or not, whatever taxels are; a saved policy sees the same."""
 
         def obs(rng):
             return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
 
         space = gym.spaces.Box(np.float32([-np.inf, -np.inf, 0]), np.float32([np.inf, np.inf, 1]))
-        choices = dict(normalise_obs=normalise, taxel_scale=scale)
+        choices = dict(normalize_obs=normalize, taxel_scale=scale)
         ppo = trained(make_ppo(scripted(obs=obs, space=space), **choices), 1)
         ppo.collect()
         shown = ppo._batch()[0]
-        assert (shown[:, :2].mean().abs() < 0.5) == normalise
+        assert (shown[:, :2].mean().abs() < 0.5) == normalize
         silent, fired = sorted({*shown[:, 2].tolist()})
         low, high = {"none": (1.0, 1.0), "block": (4.5, 5.0), "each": (4.9, 5.0)}[scale]
         assert low <= fired <= high

@@ -86,7 +86,7 @@ def test_robust_is_what_the_docs_say():
     ppo, steady = (asdict(recipes.recipe("ppo", name)) for name in ("robust", "steady"))
     changed = {name: value for name, value in ppo.items() if steady[name] != value}
     noise = dict(action_variance=0.2, std_lr=1e-3)
-    scales = dict(taxel_scale="block", normalise_rewards=True)
+    scales = dict(taxel_scale="block", normalize_rewards=True)
     assert changed == dict(steps_per_epoch=500, undo_silent=True, anneal_lr=True, **noise, **scales)
     ddpg, scaled = (asdict(recipes.recipe("ddpg_her", name)) for name in ("robust", "scaled"))
     changed = {name: value for name, value in ddpg.items() if scaled[name] != value}

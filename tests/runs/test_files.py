@@ -84,7 +84,7 @@ class TestCheckpoint:
 
     def test_policies_of_a_version_with_fewer_hyperparameters_are_read(self, her, capsys):
         def older(config):
-            del config["learner"]["normalise_rewards"]
+            del config["learner"]["normalize_rewards"]
             return config
 
         CONFIG.write_text(json.dumps(older(json.loads(CONFIG.read_text()))))
