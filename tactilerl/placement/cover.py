@@ -1,4 +1,4 @@
-"""Which taxels should a hand have that closes at the first touch? Pure functions of recorded starts.
+"""Choose taxels for a hand that closes at the first touch: pure functions of recorded starts.
 
 A start counts for a set of taxels where the first of them to fire does so at a moment from which
 closing succeeds. Where no taxel fires too early, that is maximum coverage (Nemhauser, Wolsey and
@@ -9,6 +9,7 @@ without any.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -30,7 +31,7 @@ INTACT = 1e-6  # what success without a loss counts for among sets whose worst l
 
 @dataclass(frozen=True)
 class Starts:
-    """What happens in each of some starts while the hand waits, and what would if it closed."""
+    """Record of some starts: when each taxel fires while the hand waits, and when closing succeeds."""
 
     fires: Array
     """(n, m) uint8: after how many actions each taxel fires first, or NEVER."""
@@ -43,6 +44,7 @@ class Starts:
     """(n,) before which action it is let go."""
 
     def __len__(self) -> int:
+        """Return how many starts these are."""
         return len(self.fires)
 
     @classmethod
@@ -62,8 +64,11 @@ class Starts:
 
     @property
     def worth(self) -> Array:
-        """(m,) in [0, 1]: the share of starts that each taxel alone would win. Of sets that are
-        equally good, the one whose taxels feel more is the likelier to feel unseen starts."""
+        """(m,) in [0, 1]: the share of starts that each taxel alone would win.
+
+        Of sets that are equally good, the one whose taxels feel more is the likelier to feel unseen
+        starts.
+        """
         return np.asarray(self.good.mean(axis=0))
 
     @property
@@ -105,15 +110,17 @@ def value(starts: Starts, taxels: Sequence[int]) -> float:
 
 
 def without(taxels: Sequence[int], lost: Array) -> list[int]:
-    """Return what a loss, bool (m,), leaves of these taxels."""
+    """Return the taxels that a loss, bool (m,), leaves."""
     return [taxel for taxel in taxels if not lost[taxel]]
 
 
 def worst_loss(
     starts: Starts, taxels: Sequence[int], losses: Array
 ) -> tuple[float, int | None]:
-    """Return the share of the starts that a hand with these taxels wins after the worst loss, and
-    which loss that is; None where no loss costs anything."""
+    """Return the share of the starts that a hand with these taxels wins after the worst loss.
+
+    The second value is which loss that is; None where no loss costs anything.
+    """
     least, worst = value(starts, taxels), None
     for index in np.flatnonzero(losses[:, list(taxels)].any(axis=1)).tolist():
         after = value(starts, without(taxels, losses[index]))
@@ -151,50 +158,45 @@ def scores_with_each(starts: Starts, taxels: Sequence[int], losses: Array) -> Ar
 def greedy(
     starts: Starts,
     k: int,
-    existing: Sequence[int] = (),
-    overlap: Array | None = None,
-    losses: Array | None = None,
-    first: Sequence[int] = (),
+    existing: Sequence[int],
+    overlap: Array | None,
+    losses: Array,
+    first: Sequence[int],
 ) -> list[int]:
-    """Choose `k` taxels one after another, then swap them as long as that gains something.
+    """Add to the taxels `first` until there are `k`, then swap as long as that gains something.
 
-    Those `existing` stay, and no two are chosen that `overlap`, bool (m, m). `first` are the
-    taxels to begin with, if any. ValueError where there is no room.
+    Those `existing` stay, and no two are chosen that `overlap`, bool (m, m). Raise ValueError where
+    there is no room.
     """
     n_taxels = starts.fires.shape[1]
-    losses = np.zeros((0, n_taxels), bool) if losses is None else losses
     ties = TIE * starts.worth
-    chosen = list(first or existing)
+    chosen = list(first)
 
     def best_addition(rests: list[list[int]]) -> list[int]:
         """Return the best set that is one of the `rests` and one taxel more."""
         scores = np.full((len(rests), n_taxels), -np.inf)
         for rest, row in zip(rests, scores, strict=True):
-            is_taken = np.zeros(n_taxels, bool)
+            is_free = np.ones(n_taxels, bool)
+            is_free[rest] = False
             if overlap is not None:
-                is_taken |= overlap[rest].any(axis=0)
-            is_taken[rest] = True
-            is_free = ~is_taken
+                is_free &= ~overlap[rest].any(axis=0)
             each = scores_with_each(starts, rest, losses).round(12) + ties
             row[is_free] = each[is_free]
-        at, taxel = divmod(int(np.argmax(scores)), n_taxels)
-        if not np.isfinite(scores[at, taxel]):
+        index, taxel = divmod(int(np.argmax(scores)), n_taxels)
+        if not np.isfinite(scores[index, taxel]):
             room = f"{len(chosen) - len(existing)}; there is no room for more of this radius"
             raise ValueError(f"taxels: found {k - len(existing)}, allowed up to {room}")
-        return [*rests[at], taxel]
+        return [*rests[index], taxel]
 
     while len(chosen) < k:
         chosen = best_addition([chosen])
-    reached = score(starts, chosen, losses)
     for _ in range(MOST_SWAPS):
-        rests = [
-            [i for i in chosen if i != out] for out in chosen if out not in existing
-        ]
-        swapped = best_addition(rests) if rests else chosen
-        gained = score(starts, swapped, losses) - reached
-        if gained <= SAME:
+        swapped = best_addition(
+            [[i for i in chosen if i != out] for out in chosen if out not in existing]
+        )
+        if score(starts, swapped, losses) - score(starts, chosen, losses) <= SAME:
             break
-        chosen, reached = swapped, reached + gained
+        chosen = swapped
     return chosen
 
 
@@ -205,23 +207,25 @@ def choose(
     overlap: Array | None = None,
     losses: Array | None = None,
 ) -> Chosen:
-    """Choose the best `k` taxels of which no two `overlap`, by mixed-integer programming; where that
-    takes too long, by `greedy`, and then with a bound or without."""
+    """Choose the best `k` taxels of which no two `overlap`, by mixed-integer programming.
+
+    Where that takes too long, choose by `greedy`, and then with a bound or without.
+    """
+    if losses is None:
+        losses = np.zeros((0, starts.fires.shape[1]), bool)
     exact, bound = _exact(starts, k, existing, overlap, losses)
     sets = [] if exact is None else [exact]
-    firsts: list[Sequence[int]] = [existing]
-    if losses is not None:  # what is best without a loss, and what the program says
-        firsts += [choose(starts, k, existing, overlap).taxels, *sets]
+    firsts = [existing, *sets]
+    if len(losses):
+        firsts.append(choose(starts, k, existing, overlap).taxels)
     try:
         for first in firsts:
             sets.append(greedy(starts, k, existing, overlap, losses, first))
     except ValueError:  # it left no room for as many, which there may be
         if exact is None:
             raise
-    every = losses if losses is not None else np.zeros((0, starts.fires.shape[1]), bool)
-    best = max(sets, key=lambda taxels: round(score(starts, taxels, every), 12))
-    worst, _ = worst_loss(starts, best, every)
-    bound = None if bound is None else max(bound, worst)
+    best = max(sets, key=lambda taxels: round(score(starts, taxels, losses), 12))
+    worst, _ = worst_loss(starts, best, losses)
     return Chosen(sorted(best), value(starts, best), worst, bound)
 
 
@@ -230,107 +234,92 @@ def _exact(
     k: int,
     existing: Sequence[int],
     overlap: Array | None,
-    losses: Array | None,
+    losses: Array,
 ) -> tuple[list[int] | None, float | None]:
-    """Return taxels and a bound, each None where there is none.
-
-    A variable for each taxel, and for each start one for each run of moments between those that are
-    too early: which of them holds the first firings? With losses, the same again for each start that
-    a loss changes, and a last variable that none of the sums after a loss is below.
-    """
-    m = starts.fires.shape[1]
-    rows, gains, after = _program(starts, losses)
-    n = len(gains)
-    if not any(gains):
-        return None, 0.0
+    """Return the best taxels and a bound of success after the worst loss; None where there is none."""
+    n, m = starts.fires.shape
+    rows, cases = _program(starts, losses)
     if len(rows) > MOST_ROWS:
         return None, None
     if overlap is not None:
         for i, j in np.argwhere(np.triu(overlap)).tolist():
             if not (i in existing and j in existing):
                 rows.append(({i: 1.0, j: 1.0}, 1.0))
-    if losses is not None:
-        rows += [
-            ({**{z: -g for z, g in sums.items()}, m + n: 1.0}, 0.0) for sums in after
-        ]
-    matrix = sparse.lil_array((len(rows), m + n + 1))
+    rows += [(case, 0.0) for case in cases]
+    n_columns = max(max(row) for row, _ in rows) + 1
+    matrix = sparse.lil_array((len(rows), n_columns))
     for at, (row, _) in enumerate(rows):
         matrix[at, list(row)] = list(row.values())
-    limits = np.array([limit for _, limit in rows])
-    lower = np.zeros(m + n + 1)
-    lower[list(existing)] = 1.0
-    is_taxel = np.r_[np.ones(m), np.zeros(n + 1)]
-    ties = 0.1 / len(starts) / k * starts.worth
-    objective = np.r_[ties, gains, 0.0]
-    if losses is not None:
-        objective = np.r_[0.5 / len(starts) * objective[:-1], 1.0]
+    lower, upper = np.zeros(n_columns), np.ones(n_columns)
+    lower[list(existing)], upper[m] = 1.0, n
+    is_taxel = np.arange(n_columns) < m
+    gains = np.zeros(n_columns)
+    gains[list(cases[0])] = [-weight for weight in cases[0].values()]
+    gains[:m] = 0.1 / k * starts.worth
+    if len(losses):  # of equals after the worst, the best without: less than one start
+        gains *= 0.5 / n
+    gains[m] = len(losses) > 0
     solved = optimize.milp(
-        -objective,
+        -gains,
         integrality=is_taxel,
-        bounds=optimize.Bounds(lower, np.ones(m + n + 1)),
+        bounds=optimize.Bounds(lower, upper),
         constraints=[
-            optimize.LinearConstraint(matrix.tocsr(), -np.inf, limits),
+            optimize.LinearConstraint(
+                matrix.tocsr(), -np.inf, [limit for _, limit in rows]
+            ),
             optimize.LinearConstraint(is_taxel[None], k, k),
         ],
         options={"node_limit": NODES, "mip_rel_gap": 1e-6},
     )
-    bound = solved.mip_dual_bound
-    if bound is not None and np.isfinite(bound):  # whole starts
-        bound = int(-bound * len(starts) + 1e-6) / len(starts)
-    else:
-        bound = None
     if solved.x is None:
-        return None, bound
+        return None, None
+    bound = int(1e-3 - solved.mip_dual_bound) / n  # whole starts
     return np.flatnonzero(solved.x[:m] > 0.5).tolist(), bound
 
 
-Constraint = tuple[dict[int, float], float]
-"""Coefficients by column, and the upper limit, of a linear constraint."""
-
-
 def _program(
-    starts: Starts, losses: Array | None
-) -> tuple[list[Constraint], list[float], list[dict[int, float]]]:
-    """Return the constraints, the weight of each variable of a start without a loss (0 of others),
-    and for each loss, and for none, the variables that count after it with their weights; starts in
-    which the same happens count together."""
+    starts: Starts, losses: Array
+) -> tuple[list[tuple[dict[int, float], float]], list[dict[int, float]]]:
+    """Return the constraints of the linear program: coefficients by column, and upper limit.
+
+    Columns are a variable for each taxel; the starts that succeed after the worst loss; and for each
+    start one for each run of moments between those that are too early: does the first firing lie
+    there? There are as many again for each loss that changes the start. Starts in which the same
+    happens count together.
+
+    The second list has the coefficients of one more constraint for no loss and for each loss, whose
+    upper limit is 0: the starts that succeed after the worst are not more than those after this.
+    """
     m = starts.fires.shape[1]
     happens = np.hstack([starts.fires, starts.good])
-    patterns, which = np.unique(happens, axis=0, return_inverse=True)
-    weights = (np.bincount(which.reshape(-1)) / len(starts)).tolist()
-    rows: list[Constraint] = []
-    gains: list[float] = []
-    lost = np.zeros((0, m), bool) if losses is None else losses
-    after: list[dict[int, float]] = [{} for _ in range(len(lost) + 1)]
+    patterns, counts = np.unique(happens, axis=0, return_counts=True)
+    rows: list[tuple[dict[int, float], float]] = []
+    cases = [{m: 1.0} for _ in range(len(losses) + 1)]
+    columns = itertools.count(m + 1)
 
-    def add(
-        fires: Array, is_good: Array, weight: float, gain: float
-    ) -> dict[int, float]:
-        """Add variables of a start, and return their weights."""
-        last: dict[
-            int, int
-        ] = {}  # moment of each run, by how many taxels are too early
-        for moment in np.unique(fires[is_good]).tolist():
-            last[int((~is_good & (fires < moment)).sum())] = moment
-        runs = range(m + len(gains), m + len(gains) + len(last))
-        gains.extend([gain] * len(last))
-        for run, moment in zip(runs, last.values(), strict=True):
-            good = np.flatnonzero(is_good & (fires <= moment)).tolist()
-            early = np.flatnonzero(~is_good & (fires < moment)).tolist()
+    def add(fires: Array, is_good: Array) -> list[int]:
+        """Add the constraints of a start, and return the columns of its runs."""
+        bad = np.flatnonzero(~is_good)
+        bad = bad[np.argsort(fires[bad], kind="stable")]
+        n_too_early = np.searchsorted(fires[bad], fires)
+        runs = []
+        for most in np.unique(n_too_early[is_good]).tolist():
+            runs.append(run := next(columns))
+            good = np.flatnonzero(is_good & (n_too_early <= most)).tolist()
             rows.append(({**dict.fromkeys(good, -1.0), run: 1.0}, 0.0))
-            rows.extend(({taxel: 1.0, run: 1.0}, 1.0) for taxel in early)
+            rows.extend(({i: 1.0, run: 1.0}, 1.0) for i in bad[:most].tolist())
         if len(runs) > 1:
             rows.append((dict.fromkeys(runs, 1.0), 1.0))
-        return dict.fromkeys(runs, weight)
+        return runs
 
-    for pattern, weight in zip(patterns, weights, strict=True):
-        fires, is_good = pattern[:m], pattern[m:].astype(bool)
-        intact = add(fires, is_good, weight, weight)
-        after[-1] |= intact
-        for members, counts in zip(lost, after, strict=False):
-            if (members & (fires < NEVER)).any():
-                left = np.where(members, NEVER, fires)
-                counts |= add(left, is_good & ~members, weight, 0.0)
-            else:
-                counts |= intact
-    return rows, gains, after
+    for pattern, count in zip(patterns, counts.tolist(), strict=True):
+        fires, is_good = pattern[:m], pattern[m:] > 0
+        intact = add(fires, is_good)
+        cases[0] |= dict.fromkeys(intact, -count)
+        for lost, case in zip(losses, cases[1:], strict=True):
+            is_hit = (fires[lost] < NEVER).any()
+            runs = (
+                add(np.where(lost, NEVER, fires), is_good & ~lost) if is_hit else intact
+            )
+            case |= dict.fromkeys(runs, -count)
+    return rows, cases

@@ -77,7 +77,7 @@ class TestCover:
             expected = best_of(starts, 4, losses=losses)
             assert cover.score(starts, result.taxels, losses) == pytest.approx(expected, abs=1e-9)
             assert result.bound == pytest.approx(result.worst)
-            greedy = cover.greedy(starts, 4, losses=losses)
+            greedy = cover.greedy(starts, 4, [], None, losses, [])
             assert cover.score(starts, greedy, losses) <= expected + 1e-9
 
     def test_one_more_taxel(self):
