@@ -65,7 +65,7 @@ def recipes(algorithm: str) -> dict[str, Any]:
 def recipe(algorithm: str, name: str = PAPER) -> Any:
     """Return the learner's hyperparameters; ValueError when it has no such recipe."""
     known = recipes(algorithm)
-    if name not in known:
+    if name not in [*known]:  # a list has no hash
         raise ValueError(
             f"recipe: found {name!r}, allowed for {algorithm}: {', '.join(known)}"
         )

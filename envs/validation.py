@@ -102,8 +102,18 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
 
 
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
-    """Return a copy of a dataclass with some fields chosen otherwise; lists are its tuples."""
-    return dataclasses.replace(instance, **plain(choices))  # type: ignore[type-var]
+    """Return a copy of a dataclass with some fields chosen otherwise.
+
+    Where a field is a tuple, a list stands for it, and one value for a tuple of one.
+    """
+    values = plain(choices)
+    for name, value in values.items():
+        if (
+            isinstance(value, str | float | int)
+            and type(getattr(instance, name)) is tuple
+        ):
+            values[name] = (value,)
+    return dataclasses.replace(instance, **values)  # type: ignore[type-var]
 
 
 def quoted(value: Any) -> str:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 import os
-import pickle
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
@@ -36,7 +35,7 @@ from .machine import WorkerCount, free_cores
 from .runs import evaluation, policies, training
 from .runs.config import RunOptions
 from .runs.store import resolve
-from .terminal.progress_bar import ProgressBar
+from .terminal.epochs import EpochLog
 
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
 """An environment, which the caller closes; or an id, or a function that makes one."""
@@ -59,7 +58,6 @@ class Learner:
         seed: int = 0,
         workers: int | None = None,
         device: str = "cpu",
-        threads: int = 1,
         recipe: str = recipes.PAPER,
         **hyperparameters: Any,
     ) -> None:
@@ -71,15 +69,14 @@ class Learner:
         need a process each need a function that can be pickled: one of a module, or a
         `functools.partial` of it.)
 
-        `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
-        PyTorch's threads while learning. Hyperparameters are the flags of ``tactilerl train``, with
-        the same defaults: those of `recipe`, such as "paper" or "steady".
+        `seed` is the random seed of everything, `device` PyTorch's device for the networks.
+        Hyperparameters are the flags of ``tactilerl train``, with the same defaults: those of
+        `recipe`, such as "paper" or "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """
-        validation.require_type(recipe, str, "recipe")
         defaults = recipes.recipe(self.algo, recipe)
-        options = dict(seed=seed, workers=workers, device=device, threads=threads)
+        options = dict(seed=seed, workers=workers, device=device)
         require_known(
             hyperparameters, validation.names(defaults) | {*options, "recipe"}
         )
@@ -88,8 +85,8 @@ class Learner:
         for part in (self._run, self.config):
             validation.validate(part)
         self._comm, self._epoch, self._process = Communicator(), 0, os.getpid()
-        start = partial(_start, env, workers, threads)
-        with _threads(threads):  # a thread that is started inside inherits their number
+        start = partial(_start, env, workers)
+        with _one_thread():  # a thread that is started inside has one too
             started = training.start_learner(self._run, self.config, start, self._comm)
         self._learner, self._workers = started
 
@@ -128,14 +125,13 @@ class Learner:
             )
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
-        with _threads(self._run.threads):
+        with _one_thread():
             if not self._epoch:
                 learner.check()
-            shown = ProgressBar(learner, self._comm) if progress else nullcontext()
-            with shown as report:
-                shown_to = report.epoch if report is not None else None
-                calls = (self._count, shown_to, callback)
-                after = [call for call in calls if call is not None]
+            after = [self._count, callback or bool]
+            with EpochLog(learner, self._comm) if progress else nullcontext() as log:
+                if log is not None:
+                    after.insert(1, log.epoch)
                 training.learn(learner, self._epoch, *after)
         return self
 
@@ -205,7 +201,7 @@ def evaluate(
     validation.require_type(episodes, evaluation.EpisodeCount, "episodes")
     validation.require_type(workers, WorkerCount, "workers")
     player = policy.policy() if isinstance(policy, Learner) else policy
-    with _threads(1), closing(_start(env, workers)) as played_in:
+    with _one_thread(), closing(_start(env, workers)) as played_in:
         spaces = Spaces(played_in.observation_space, played_in.action_space)
         if isinstance(player, Policy):
             player.require_spaces(spaces)
@@ -228,12 +224,8 @@ def design(
     from .placement import choice
     from .placement.candidates import DesignFlags
 
-    wanted = validation.names(DesignFlags)
-    require_known(flags, wanted)
-    listed = {
-        name: (flags[name],) for name in ("scene",) if isinstance(flags.get(name), str)
-    }
-    chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
+    require_known(flags, validation.names(DesignFlags))
+    chosen = {**flags, "taxels": str(taxels), "workers": workers}
     read = validation.replace(DesignFlags(), chosen)
     read.validate()
     result = choice.design(read, workers or free_cores())
@@ -277,11 +269,10 @@ def train(
     return training.train(chosen, mpi.world())
 
 
-def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
+def _start(env: Env, workers: int | None) -> vector.Workers:
     """Return workers that play in `env`; closing them closes only what was made here.
 
-    Where they are processes, PyTorch computes with `threads` threads in each. Raise ValueError for
-    an environment that cannot be made, or not side by side.
+    Raise ValueError for an environment that cannot be made, or not side by side.
     """
     if isinstance(env, gym.Env):
         if workers not in (None, 1):
@@ -296,17 +287,14 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
             f"env: found {type(env).__name__}, allowed an environment, an id or a function"
         )
     try:
-        return vector.start(
-            partial(_made, make), workers or 1, partial(torch.set_num_threads, threads)
+        one_thread = partial(torch.set_num_threads, 1)
+        return vector.start(partial(_made, make), workers or 1, one_thread)
+    except (AttributeError, TypeError, ImportError, OSError) as error:
+        is_of_processes = (
+            "pickle" in str(error) or type(error) is vector.WorkerDiedError
         )
-    except ImportError as error:
-        raise ValueError(f"env: {error}") from error
-    except (AttributeError, TypeError, pickle.PicklingError) as error:
-        if "pickle" not in str(error):
-            raise
-        raise ValueError(f"env: {NEEDS} ({error})") from error
-    except vector.WorkerDiedError as error:
-        raise ValueError(f"env: {error}; {NEEDS}") from error
+        hint = f"; {NEEDS}" if is_of_processes else ""
+        raise ValueError(f"env: {error}{hint}") from error
 
 
 def _made(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:
@@ -319,10 +307,10 @@ def _made(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:
 
 
 @contextmanager
-def _threads(n: int) -> Iterator[None]:
-    """Have PyTorch compute with `n` threads inside."""
+def _one_thread() -> Iterator[None]:
+    """Have PyTorch compute with one thread inside."""
     before = torch.get_num_threads()
-    torch.set_num_threads(n)
+    torch.set_num_threads(1)
     try:
         yield
     finally:

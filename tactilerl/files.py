@@ -10,7 +10,6 @@ import platform
 import re
 import secrets
 import shlex
-import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -26,15 +25,9 @@ UNPACKED, RATIO = 50_000_000, 100  # bytes, or times its size, that a file may u
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
 PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
-LEFTOVER = re.compile(
-    r"\.[0-9a-f]{16}\.tmp"
-)  # of a process that was killed while it wrote
-FULL = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EIO,
-    errno.EFBIG,
-)  # not the fault of who named the file
+LEFTOVER = ".tmp"  # ends the name of what a process left that was killed while it wrote
+# Not the fault of who named the file.
+FULL = errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG
 
 
 @contextmanager
@@ -69,7 +62,7 @@ def open_regular(path: Path) -> BinaryIO:
     return open(path, "rb")
 
 
-def content(path: Path, most: int = LARGEST) -> bytes:
+def read_whole(path: Path, most: int = LARGEST) -> bytes:
     """Return all of a file; ValueError where it has more than `most` bytes."""
     with open_regular(path) as file:
         data = file.read(most + 1)
@@ -80,7 +73,12 @@ def content(path: Path, most: int = LARGEST) -> bytes:
 
 def read_json(path: Path) -> Any:
     """Return the values in a JSON file."""
-    return json.loads(content(path, MAX_JSON).decode("utf-8"))
+    return json.loads(read_whole(path, MAX_JSON).decode("utf-8"))
+
+
+def as_json(data: Any) -> bytes:
+    """Return values as the content of a JSON file."""
+    return (json.dumps(data, indent=1) + "\n").encode()
 
 
 def unzip(path: Path) -> bytes:
@@ -118,7 +116,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     a folder or a device is at `path`, or nothing can be written; OSError where the disk is full.
     """
     require_file(path)
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    temporary = path.with_name(f".{secrets.token_hex(8)}{LEFTOVER}")
     with writable(path):
         file = temporary.open("x+b")
     try:
@@ -139,24 +137,19 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 def require_file(path: Path) -> None:
     """Raise InputError where something else than a regular file is at `path`."""
     with writable(path):
-        mode = path.lstat().st_mode if os.path.lexists(path) else stat.S_IFREG
-    if not stat.S_ISREG(mode):
-        kinds = {stat.S_IFLNK: "a link", stat.S_IFDIR: "a folder"}
-        kind = kinds.get(stat.S_IFMT(mode), "no file")
+        is_there = os.path.lexists(path)
+    if is_there and (path.is_symlink() or not path.is_file()):
         raise InputError(
-            f"cannot write {str(path)!r}: it is {kind}, allowed a file or a new name"
+            f"cannot write {str(path)!r}: it is a link or no file, allowed a file or a new name"
         )
 
 
-def own_folder(path: Path) -> Path:
-    """Make a folder in one of ours if it is missing, and return it; InputError for a link or a file."""
+def make_folder(path: Path) -> None:
+    """Make a folder in one of ours if it is missing; InputError for a link or a file."""
     with writable(path):
         path.mkdir(exist_ok=True)
     if path.is_symlink():
-        raise InputError(
-            f"cannot write into {str(path)!r}: it is a link, allowed a folder"
-        )
-    return path
+        raise InputError(f"cannot write into {str(path)!r}: it is a link")
 
 
 @contextmanager
@@ -176,9 +169,8 @@ def locked(folder: Path) -> Iterator[None]:
                 held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")
-            for left in (*folder.glob(".*.tmp"), *folder.glob("experience/.*.tmp")):
-                if LEFTOVER.fullmatch(left.name):
-                    left.unlink(missing_ok=True)
+            for left in folder.rglob("." + 16 * "[0-9a-f]" + LEFTOVER):
+                left.unlink(missing_ok=True)
             try:
                 yield
             except InputError:
@@ -186,10 +178,7 @@ def locked(folder: Path) -> Iterator[None]:
                     path.unlink(missing_ok=True)
                 raise
     except filelock.Timeout:
-        holder = (
-            path.read_text(encoding="utf-8", errors="replace")[:200]
-            or "another process"
-        )
+        holder = path.read_text(encoding="utf-8", errors="replace")[:200]
         raise BusyError(f"{folder}: {holder} is writing to this folder") from None
 
 

@@ -104,13 +104,12 @@ def usage(name: str) -> Usage:
         return validation.fill(Usage, {**about, "scene": scene}, "environment")
 
 
-def digest(name: str, content: bytes = b"") -> str:
-    """Return a digest of the files of anybody's own hand, of its meshes too; "" for the library's
-    hands and for what is no hand. `content` stands for that of its TOML file. ValueError and OSError
-    where they cannot be read."""
-    if name in HANDS or not is_hand(name):
-        return ""
-    return short_digest(content or file(name).read_bytes(), *get(name).build.files)
+def digest(name: str) -> str:
+    """Return a digest of the files of anybody's own hand, of its meshes too.
+
+    ValueError and OSError where they cannot be read.
+    """
+    return short_digest(file(name).read_bytes(), *get(name).build.files)
 
 
 def get(name: str) -> Hand:

@@ -20,7 +20,7 @@ from ..study.jobs import Job
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
 from ..terminal.console import console
-from ..terminal.progress_bar import duration
+from ..terminal.epochs import duration
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
-
 from .. import algos, envs
 from ..algos import recipes
 from ..envs import hands, layouts, plugins, scenes, validation
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
-from ..envs.validation import nearest, require_known
+from ..envs.validation import require_known, require_one_of
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
 
@@ -49,8 +47,6 @@ class RunOptions:
     are the same."""
     device: str = "cpu"
     """PyTorch device of the networks, such as cuda."""
-    threads: Annotated[int, "[1, 1000]"] = 1
-    """PyTorch threads. Another number can change the last digits of the results."""
     tensorboard: bool = False
     """Also write TensorBoard events (extra: tensorboard)."""
 
@@ -68,7 +64,7 @@ ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
 # Fields of 0.4.0 that are no more, with the values that mean what this version does.
-GONE = {"critic_sees": "observation"}
+GONE = {"critic_sees": "observation", "threads": 1}
 # Names of fields in 0.4.0 -> today's.
 RENAMED = {"normalise_obs": "normalize_obs", "normalise_rewards": "normalize_rewards"}
 LENGTH_COUNTS = (
@@ -98,18 +94,16 @@ class RunConfig:
         return {name: part for name, part in parts.items() if part is not None}
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
-        """Return a copy with other values of some fields; ValueError naming an unknown field."""
-        known: set[str] = set()
+        """Return a copy with other values of some fields; ValueError naming an unknown field.
+
+        The fields may have their names of 0.4.0.
+        """
+        choices = _renamed(choices)
+        require_known(choices, {k for part in self.parts.values() for k in vars(part)})
         chosen = {}
         for name, part in self.parts.items():
-            fields = validation.names(part)
-            values = {k: v for k, v in choices.items() if k in fields}
-            for k, value in values.items():  # one value stands for a tuple of one
-                if isinstance(getattr(part, k), tuple) and np.isscalar(value):
-                    values[k] = (value,)
+            values = {k: v for k, v in choices.items() if k in vars(part)}
             chosen[name] = validation.replace(part, values)
-            known |= fields
-        require_known(choices, known)
         return dataclasses.replace(self, **chosen)
 
     def validate(self) -> None:
@@ -117,8 +111,7 @@ class RunConfig:
         for part in self.parts.values():
             validation.validate(part)
         if (self.scene is None) == hands.is_hand(self.run.env):
-            scene = "no scene" if self.scene is None else "a scene"
-            raise ValueError(f"env: found {self.run.env!r} with {scene}")
+            raise ValueError(f"env: found {self.run.env!r}, which does not fit scene")
 
     @property
     def make_env(self) -> Callable[..., Any]:
@@ -144,20 +137,21 @@ class RunConfig:
                     f"{self.folder}: the files of this run's hand ({env}) have "
                     "changed since it was made; put the old ones back"
                 )
-        if self.scene is None:
+        scene = self.scene
+        if scene is None:
             return partial(envs.make, env)
-        choices: dict[str, Any] = {}
-        if self.scene.hand_seed is None:
-            choices["hand_seed"] = self.run.seed
+        if scene.hand_seed is None:
+            scene = dataclasses.replace(scene, hand_seed=self.run.seed)
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
-            choices["layout"] = str(self.folder / LAYOUT_COPY)
-        return partial(GraspEnv, env, dataclasses.replace(self.scene, **choices))
+            copy = str(self.folder / LAYOUT_COPY)
+            scene = dataclasses.replace(scene, layout=copy)
+        return partial(GraspEnv, env, scene)
 
     @property
     def layout_file(self) -> Path | None:
         """The user's layout file, if the layout is one."""
-        is_file = self.scene is not None and layouts.is_file(self.scene.layout)
-        return Path(self.scene.layout) if self.scene is not None and is_file else None
+        layout = self.scene.layout if self.scene else ""
+        return Path(layout) if layouts.is_file(layout) else None
 
     @property
     def again(self) -> str:
@@ -213,10 +207,10 @@ def _completed(kind: type, saved: dict[str, Any]) -> dict[str, Any]:
     """
     usual = json.loads(json.dumps(dataclasses.asdict(kind())))
     known = {k: v for k, v in saved.items() if k not in GONE or v != GONE[k]}
-    return {**usual, **renamed(known)}
+    return {**usual, **_renamed(known)}
 
 
-def renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
+def _renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
     """Return choices by today's names of fields, from those of 0.4.0 or today's."""
     return {RENAMED.get(name, name): value for name, value in choices.items()}
 
@@ -239,33 +233,23 @@ def defaults(
     With another learner than the scene's own, the scene's hyperparameters are left out. Raises
     InputError for an unknown algorithm, recipe, environment or scene.
     """
-    with input_errors():
-        named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
+    names = {"algo": algo, "env": env, "recipe": recipe, "scene": scene}
+    with input_errors(f"scene {scene}" if scene else ""):
+        for name, value in names.items():
+            validation.require_type(value, str | None, name)
+        named = scenes.load(scene) if scene else NamedScene()
         env = env or named.env
-        train = {"algo": RunOptions.algo, "recipe": recipes.PAPER}
-        train |= renamed(named.train)
-        for name in ("algo", "recipe"):
-            where = f"scene {scene}: train: {name}"
-            validation.require_type(train[name], str, where)
+        train = {"algo": RunOptions.algo, "recipe": recipes.PAPER, **named.train}
         if algo and algo != train["algo"]:
             train = {"algo": algo, "recipe": recipes.PAPER}
         algo, usual = train.pop("algo"), train.pop("recipe")
-        if algo not in algos.ALGORITHMS:
-            allowed = f"allowed: {', '.join(algos.ALGORITHMS)}"
-            hint = nearest(algo, algos.ALGORITHMS)
-            raise ValueError(f"algo: found {algo!r}, {hint}{allowed}")
-        if scene and not hands.is_hand(env):
-            raise ValueError(
-                f"env: found {env!r} with a scene, allowed: {hands.allowed()}"
-            )
-    with input_errors(f"scene {scene}" if scene else ""):
-        paper = algos.ALGORITHMS[algo]
+        require_one_of(algos.ALGORITHMS, algo, "algo")
+        paper, grasp = algos.ALGORITHMS[algo], None
         learner = recipes.recipe(algo, recipe or usual)
-        known = {"total_timesteps", *validation.names(learner)}
-        require_known(train, known)
-        grasp = None
         if hands.is_hand(env):
             grasp = setup(env, **{"task": paper.task, **named.on(env)})
+        elif scene:
+            raise ValueError(f"env: found {env!r}, allowed: {hands.allowed()}")
         run = RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps)
         config = RunConfig(run, grasp, learner).choose(train)
         config.validate()
@@ -279,11 +263,8 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
     are plain, as TOML or JSON has them. Raises InputError naming the first that is wrong.
     """
     deciding = {key: choices.get(key) for key in ("algo", "env", "recipe", "scene")}
-    names = ("recipe", "scene")
-    rest = renamed({k: v for k, v in choices.items() if k not in names})
+    rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}
     with input_errors():
-        for key, value in deciding.items():
-            validation.require_type(value, str | None, key)
         config = defaults(**deciding).choose(rest)
         config.validate()
     return config
@@ -301,5 +282,5 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         config = RunConfig(run, scene, learner)
         config.validate()
         return config
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"not a configuration of this version: {error}") from error

@@ -15,12 +15,12 @@ import csv
 import dataclasses
 import io
 import json
-import math
 import os
 import re
+import sys
 import zipfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypedDict
 
 import torch
 
@@ -31,13 +31,15 @@ from ..algos.mpi import Communicator
 from ..envs import hands, layouts, plugins, validation
 from ..envs.validation import require_type
 from ..errors import InputError, input_errors
-from ..files import content as file_content
 from ..files import (
+    LEFTOVER,
+    as_json,
     damage_named,
+    make_folder,
     no_link,
     open_regular,
-    own_folder,
     read_json,
+    read_whole,
     replacing,
     writable,
 )
@@ -52,11 +54,8 @@ from .config import (
 )
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
-OLDEST = (0, 4)  # version whose runs are read
-# The content of config.json, of checkpoint.pt, and of a file in experience/.
 Values = dict[str, Any]
-RECORD: Values = {"run": Values, "scene": Values | None, "learner": Values}
-RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[machine.Origin]}
+# The content of checkpoint.pt, and of a file in experience/.
 CHECKPOINT = {"format": int, "epoch": int, "config": str, "ranks": list}
 CHECKPOINT |= {"experience": list, "spaces": str}
 PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
@@ -64,7 +63,25 @@ REWRITE = 2.0  # the parts are written anew as one when they take this many time
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
 TIMES = ("collect_s", "update_s", "steps_per_s")  # columns that no seed decides
 SHARE = "success_rate"  # ends the names of columns that are shares
+FINITE = -sys.float_info.max, sys.float_info.max
 Row = dict[str, str]
+
+
+class Names(TypedDict):
+    """The names in a saved run that decide which fields it has."""
+
+    algo: str
+    env: str
+
+
+class ConfigFile(TypedDict):
+    """The content of config.json, besides its format."""
+
+    run: Names
+    scene: Values | None
+    learner: Values
+    ranks: Annotated[int, "[1, inf)"]
+    provenance: list[machine.Origin]
 
 
 # -- tensors in a file -----------------------------------------------------------------------
@@ -87,17 +104,12 @@ def read_tensors(
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-            if size > os.fstat(file.fileno()).st_size:  # `torch.save` does not compress
-                raise ValueError("it unpacks to more than it holds")
+            if any(entry.compress_type for entry in archive.infolist()):
+                raise ValueError("it is compressed, as torch.save does not write it")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
-            (values,) = (n for n in archive.namelist() if n.endswith("data.pkl"))
-            if b"bytearray" in archive.read(values):  # PyTorch makes any length of it
-                raise ValueError("it holds a bytearray")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
-    number = data.get(next(iter(types))) if isinstance(data, dict) else None
-    if type(number) is not int or number != version:
+    if not isinstance(data, dict) or data.get(next(iter(types))) != version:
         raise InputError(f"{path}: not a {kind} of format {version}{hint}")
     if {name: type(value) for name, value in data.items()} != types:
         raise InputError(f"{path}: damaged (found {', '.join(map(str, data))})")
@@ -134,8 +146,9 @@ class RunDir:
         """Make the folder where there is none; InputError where it holds something else."""
         with writable(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            names = {path.name for path in self.path.iterdir() if path.suffix != ".tmp"}
-        if not (self.config_file.exists() or names <= {".lock"}):
+            names = {path.name for path in self.path.iterdir()}
+        others = {name for name in names if not name.endswith((LEFTOVER, ".lock"))}
+        if others and not self.config_file.exists():
             raise InputError(
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another "
                 "with --out"
@@ -154,22 +167,18 @@ class RunDir:
         changed = machine.difference(origins[-1], now) if origins else ""
         if changed or not origins:
             origins.append(now)
-        content = {"format": FORMAT, **config.as_dict(), "ranks": ranks}
-        content["provenance"] = origins
-        hand, digest = b"", config.hand
-        if not digest and (digest := hands.digest(config.run.env)):  # it begins
-            hand = _hand_file(hands.file(config.run.env))
-            digest = hands.digest(config.run.env, hand)
-        if digest:
-            content["hand"] = digest
-        with replacing(self.config_file) as file:
-            file.write((json.dumps(content, indent=1) + "\n").encode())
-        if hand:
-            with replacing(self.path / HAND_COPY) as file:
-                file.write(hand)
+        digest, env, copy = config.hand, config.run.env, self.path / HAND_COPY
+        if not digest and config.scene and env not in hands.HANDS:  # it begins
+            with replacing(copy) as file:
+                file.write(_hand_file(hands.file(env)))
+            digest = hands.digest(str(copy))
         if config.layout_file and not (self.path / LAYOUT_COPY).exists():
             with replacing(self.path / LAYOUT_COPY) as file:
                 file.write(layouts.load(str(config.layout_file)).toml().encode())
+        content = {"format": FORMAT, **config.as_dict(), "ranks": ranks}
+        content |= {"provenance": origins, "hand": digest}
+        with replacing(self.config_file) as file:
+            file.write(as_json(content))
         return changed
 
     def read_config(self) -> RunConfig:
@@ -179,12 +188,9 @@ class RunDir:
             try:
                 config = from_dict({name: data[name] for name in PARTS})
             except InputError as error:
-                version = data["provenance"][-1]["versions"].get("tactilerl", "")
-                numbers = [int(part) for part in version.split(".") if part.isdigit()]
-                if numbers and tuple(numbers[:2]) < OLDEST:
-                    made = f"made by version {version}; this one reads runs of 0.4.0 on"
-                    raise InputError(made) from error
-                raise
+                version = data["provenance"][-1]["versions"].get("tactilerl")
+                made = f"made by version {version}; this one reads runs of 0.4.0 on"
+                raise InputError(f"{error} ({made})") from error
         hand = str(data.get("hand", ""))
         return dataclasses.replace(config, folder=self.path, hand=hand)
 
@@ -222,7 +228,7 @@ class RunDir:
         if not self.table.exists():
             return []
         with damage_named(self.table):
-            rows, problem = parse(file_content(self.table).decode("utf-8"))
+            rows, problem = parse(read_whole(self.table).decode("utf-8"))
             if problem:
                 raise ValueError(problem)
         return rows
@@ -233,28 +239,21 @@ class RunDir:
         A table that is missing begins anew. InputError when this is not the checkpoint's table:
         damaged, of other epochs, or of more than the one that a checkpoint may lack.
         """
-        if not os.path.lexists(self.table):
+        if not self.table.exists():
             return
-        if self.table.is_symlink():  # which would have us write somewhere else
-            raise InputError(f"{self.table}: found a link, allowed a file")
         epochs = [int(row["epoch"]) for row in self.rows()]
-        last = epochs[-1] if epochs else 0
-        if epochs != [*range(last - len(epochs) + 1, last + 1)]:
-            raise InputError(f"{self.table}: damaged (its epochs do not follow)")
-        if last not in (epoch, epoch + 1):
+        first, last = (epochs[0], epochs[-1]) if epochs else (1, 0)
+        if epochs != [*range(first, last + 1)] or last not in (epoch, epoch + 1):
             raise InputError(
                 f"{self.table}: found epochs up to {last}, the checkpoint's is {epoch}; put back "
                 "the table that belongs to it, or move this one away to continue with a new one"
             )
-        n_rows = len(epochs) - (last - epoch)
-        if n_rows < 1:  # so that a header that was cut off does not stay
+        if first > epoch:  # so that a header that was cut off does not stay
             self.table.unlink()
             return
-        content = self.table.read_bytes()
-        whole = b"".join(content.splitlines(keepends=True)[: n_rows + 1])
-        if whole != content:
-            with replacing(self.table) as file:
-                file.write(whole)
+        lines = self.table.read_bytes().splitlines(keepends=True)
+        with replacing(self.table) as file:
+            file.write(b"".join(lines[: epoch - first + 2]))
 
     # -- checkpoint.pt -----------------------------------------------------------------------
 
@@ -267,7 +266,7 @@ class RunDir:
         data = read_tensors(path, "checkpoint", FORMAT, CHECKPOINT)
         with damage_named(path):
             epoch, parts = data["epoch"], data["experience"]
-            if not 0 <= epoch < 2**63 or not data["ranks"]:
+            if epoch < 0 or not data["ranks"]:
                 raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
             if any(type(part) is not int or not 1 <= part <= epoch for part in parts):
                 raise ValueError("experience of epochs that the run has not had")
@@ -297,12 +296,7 @@ def as_record(data: Any) -> Values:
     require_type(data, Values, "record")
     if data.get("format") != FORMAT:
         raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.4.0 on")
-    for name, kind in RECORD.items():
-        if name not in data:
-            raise ValueError(f"no {name!r} in it")
-        require_type(data[name], kind, name)
-    for name in ("algo", "env"):
-        require_type(data["run"].get(name), str, name)
+    require_type(data, ConfigFile, "record")
     return dict(data)
 
 
@@ -314,34 +308,24 @@ def parse(text: str) -> tuple[list[Row], str]:
     reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     rows, before = list[Row](), (-1, 0)
     try:
-        columns = list(reader.fieldnames or FIRST)
-        if columns[: len(FIRST)] != FIRST or len(set(columns)) < len(columns):
+        if [*(reader.fieldnames or FIRST)][: len(FIRST)] != FIRST:
             raise ValueError(f"its header does not begin with {','.join(FIRST)}")
         for row in reader:
-            if reader.line_num != len(rows) + 2:
-                raise ValueError("found an empty line, or a line break inside a field")
-            before = _checked(row, before)
+            is_one_line = reader.line_num == len(rows) + 2
+            if None in row or None in row.values() or not is_one_line:
+                raise ValueError("found more or fewer fields than the header has")
+            now = int(row["epoch"]), int(row["env_steps"])
+            if now[0] <= before[0] or now[1] < before[1]:
+                raise ValueError(f"its epochs or steps do not follow: {now}, {before}")
+            before = now
+            for column, field in row.items():
+                low, high = (0.0, 1.0) if column.endswith(SHARE) else FINITE
+                if not (low <= (value := float(field or 0)) <= high or value != value):
+                    raise ValueError(f"{column}: found {field[:50]}")
             rows.append(row)
     except (ValueError, csv.Error) as error:
         return rows, f"line {reader.line_num}: {error}"
     return rows, ""
-
-
-def _checked(row: Row, before: tuple[int, int]) -> tuple[int, int]:
-    """Return epoch and steps of a row; ValueError where they do not follow those `before`."""
-    if None in row or None in row.values():  # as csv.DictReader has it
-        raise ValueError("found more or fewer fields than the header has")
-    now = int(row["epoch"]), int(row["env_steps"])
-    if now[0] <= before[0] or now[1] < before[1]:
-        raise ValueError(f"epoch and steps do not follow: found {now} after {before}")
-    for column, field in row.items():
-        value, is_share = float(field or 0), column.endswith(SHARE)
-        if math.isinf(value) or (
-            is_share and not (0 <= value <= 1 or math.isnan(value))
-        ):
-            allowed = "from 0 to 1" if is_share else "a finite number"
-            raise ValueError(f"{column}: found {field[:50]}, allowed {allowed}")
-    return now
 
 
 class Checkpoint:
@@ -364,7 +348,7 @@ class Checkpoint:
             added = self._memory.new_experience(everything=bool(is_anew))
         for rank, experience in enumerate(self.comm.receive(added)):
             if experience:
-                own_folder(self.run_dir.experience_folder)
+                make_folder(self.run_dir.experience_folder)
                 about = {**self._about, "epoch": epoch, "rank": rank}
                 content = {**about, "experience": experience}
                 write_tensors(self._part(epoch, rank), content)

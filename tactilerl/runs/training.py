@@ -25,17 +25,12 @@ from ..files import locked, pasted
 from ..machine import free_cores
 from ..terminal import interrupts
 from ..terminal.console import paragraph
-from ..terminal.progress_bar import ProgressBar, require_tensorboard
+from ..terminal.epochs import EpochLog, require_tensorboard
 from .config import RunConfig, RunOptions
 from .store import Checkpoint, RunDir
 
 Row = dict[str, Any]
-COUNTS = (
-    "episodes",
-    *FAULTS,
-    "undone",
-    "updates",
-)  # columns of progress.csv that are sums
+COUNTS = "episodes", *FAULTS, "undone", "updates"  # columns of progress.csv: sums
 
 
 def make_algorithm(
@@ -90,11 +85,11 @@ def start_workers(
 ) -> vector.Workers:
     """Return `n` environments and who plays in them; by default as many as there are free cores.
 
-    PyTorch computes with the run's number of threads from here on, in this process and in theirs.
+    PyTorch computes with one thread from here on, in this process and in theirs.
     """
-    set_up = partial(torch.set_num_threads, config.run.threads)
-    set_up()
-    return vector.start(config.make_env, n or free_cores(comm.local_size), set_up)
+    one_thread = partial(torch.set_num_threads, 1)
+    one_thread()
+    return vector.start(config.make_env, n or free_cores(comm.local_size), one_thread)
 
 
 def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
@@ -110,49 +105,42 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
     )
     config = run_dir.settled(config)
     learner, workers = make_algorithm(config, comm)
-    try:
-        if config.run.tensorboard:
-            require_tensorboard()
+    with closing(workers):
         with input_errors():
             learner.check()
+            events = run_dir.path if config.run.tensorboard else None
+            if events:
+                require_tensorboard()
         with _writing(run_dir, config, comm):
             checkpoint = Checkpoint(run_dir, config, learner, comm)
-            epoch = _begun(checkpoint)
+            epoch, changed = _begun(checkpoint), ""
+            if comm.rank == 0:
+                run_dir.cut(epoch)
+                run = config, comm.size, epoch, learner.env_steps
+                changed = run_dir.write_config(*run)
             notes = [summary, paragraph("resolved", learner.describe())]
             if epoch:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
                 notes.append(paragraph("resumed", done))
-            if comm.rank == 0:
-                run_dir.cut(epoch)
-                if changed := run_dir.write_config(
-                    config, comm.size, epoch, learner.env_steps
-                ):
-                    notes.append(
-                        paragraph("versions", f"{changed}; from epoch {epoch + 1} on")
-                    )
-            if epoch == 0:
+            else:
                 checkpoint.save(0)
+            if changed:
+                since = f"{changed}; from epoch {epoch + 1} on"
+                notes.append(paragraph("versions", since))
             if learner.env_steps >= learner.total_timesteps:
-                done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
-                notes.append(
-                    f"  nothing to do: {done} steps done; raise --total-timesteps"
-                )
-            with ProgressBar(
-                learner, comm, run_dir.path if config.run.tensorboard else None
-            ) as report:
-                report.note("\n".join(filter(None, notes)))
-
-                def save(row: Row) -> None:
-                    checkpoint.save(row["epoch"])
-
+                notes.append("  nothing to do; raise --total-timesteps")
+            with EpochLog(learner, comm, events) as log:
+                log.console.print("\n".join(filter(None, notes)))
+                for row in run_dir.rows():
+                    log.write_events(row)
                 append = [run_dir.append] if comm.rank == 0 else []
-                for row in run_dir.rows() if append else ():
-                    report.write_events(row)
-                learn(learner, epoch, *append, save, report.epoch)
-    except algos.UnfitError as error:
-        raise InputError(str(error)) from error
-    finally:
-        workers.close()
+                learn(
+                    learner,
+                    epoch,
+                    *append,
+                    lambda row: checkpoint.save(row["epoch"]),
+                    log.epoch,
+                )
     return run_dir.path
 
 
@@ -167,6 +155,8 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
         held.enter_context(interrupts.in_order())
         try:
             yield
+        except algos.UnfitError as error:
+            raise InputError(str(error)) from error
         except (FloatingPointError, OSError, KeyboardInterrupt) as error:
             error.add_note(
                 f"the last checkpoint is kept: --resume {pasted(run_dir.path)}{config.again}"
@@ -175,11 +165,8 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
 
 
 def _begun(checkpoint: Checkpoint) -> int:
-    """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet.
-
-    InputError where the goal was made smaller, and the run is beyond it already.
-    """
-    run_dir, learner = checkpoint.run_dir, checkpoint.learner
+    """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet."""
+    run_dir = checkpoint.run_dir
     if not run_dir.checkpoint_file.exists():
         if run_dir.rows() or any(run_dir.experience_folder.glob("*.pt")):
             raise InputError(
@@ -187,15 +174,7 @@ def _begun(checkpoint: Checkpoint) -> int:
                 "begin another run with another --out"
             )
         return 0
-    epoch, goal = checkpoint.restore(), learner.total_timesteps
-    if epoch and goal < min(
-        learner.env_steps, run_dir.read_config().run.total_timesteps
-    ):
-        raise InputError(
-            f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "
-            "allowed more: they count from the run's beginning"
-        )
-    return epoch
+    return checkpoint.restore()
 
 
 def learn(learner: Learner, epoch: int, *after: Callable[[Row], Any]) -> int:
@@ -213,40 +192,39 @@ def learn(learner: Learner, epoch: int, *after: Callable[[Row], Any]) -> int:
     return epoch
 
 
-def _epoch(learner: Learner) -> dict[str, Any]:
+def _epoch(learner: Learner) -> Row:
     """Play one epoch and learn from it, then test; return its row of the progress table.
 
     It has as many cycles as the algorithm's epochs, but none begins beyond the run's length, where
     what is annealed is zero.
     """
-    before, times = learner.env_steps, [time.perf_counter()]
-    collected: list[dict[str, float]] = []
-    learned: list[dict[str, float]] = []
-    while len(collected) < learner.cycles_per_epoch and (
-        learner.env_steps < learner.total_timesteps or not collected
+    begin, steps_before = time.perf_counter(), learner.env_steps
+    collect_s = update_s = 0.0
+    collected, learned = list[Row](), list[Row]()
+    while not collected or (
+        len(collected) < learner.cycles_per_epoch
+        and learner.env_steps < learner.total_timesteps
     ):
+        start = time.perf_counter()
         collected.append(learner.collect())
-        times.append(time.perf_counter())
+        middle = time.perf_counter()
         learned.append(learner.update())
-        times.append(time.perf_counter())
+        collect_s += middle - start
+        update_s += time.perf_counter() - middle
     test = learner.test()
-    spent = np.diff(times)
+    speed = (learner.env_steps - steps_before) / (time.perf_counter() - begin)
     return {
         "env_steps": learner.env_steps,
         **_merged(collected, [row["episodes"] for row in collected]),
-        **_merged(learned),
+        **_merged(learned, [1] * len(learned)),
         **test,
-        "collect_s": round(float(spent[::2].sum()), 4),
-        "update_s": round(float(spent[1::2].sum()), 4),
-        "steps_per_s": round(
-            (learner.env_steps - before) / (time.perf_counter() - times[0]), 1
-        ),
+        "collect_s": round(collect_s, 4),
+        "update_s": round(update_s, 4),
+        "steps_per_s": round(speed, 1),
     }
 
 
-def _merged(
-    rows: list[dict[str, float]], weights: list[float] | None = None
-) -> dict[str, float]:
+def _merged(rows: list[Row], weights: list[float]) -> Row:
     """Return one row for an epoch's cycles: counts are added, everything else is averaged.
 
     Averages are over the cycles that have a value.
@@ -258,9 +236,8 @@ def _merged(
         if key in COUNTS:
             merged[key] = values.sum().item()
         elif is_known.any():
-            shares = np.ones(len(rows)) if weights is None else np.array(weights)
-            average = np.average(values[is_known], weights=shares[is_known])
-            merged[key] = float(average)
+            shares = np.array(weights)[is_known]
+            merged[key] = float(np.average(values[is_known], weights=shares))
         else:
             merged[key] = math.nan
     return merged
@@ -271,7 +248,5 @@ def _require_device(device: str) -> None:
     try:
         torch.zeros(1, device=device).cpu()  # "meta" holds no numbers
     except Exception as error:  # each device answers with errors of its own
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise ValueError(
-            f"device: found {device!r}, which PyTorch cannot use here ({reason})"
-        ) from None
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"device: found {device!r}, not usable ({reason})") from None

@@ -46,7 +46,7 @@ MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "compare", "primary", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
 SEED, IMPORT = "seed", "import"
-TAKEN = {SEED, "out", "resume", "workers", "threads", "tensorboard"}
+TAKEN = {SEED, "out", "resume", "workers", "tensorboard"}
 MOST_RUNS = 10_000  # a slip in a grid multiplies
 
 Score = Literal["area", "final", "converged"]

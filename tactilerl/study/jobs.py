@@ -107,8 +107,7 @@ def run_all(
 ) -> None:
     """Make runs done, in order; `on_end` is told each job and how it ended.
 
-    Runs that another process trains are asked for once more at the end, and those whose scheduler
-    was lost at once.
+    Runs that another process trains are asked for once more at the end.
     """
     for is_last in (False, True):
         waiting = {pool.submit(make_done, job): job for job in jobs}
@@ -120,9 +119,7 @@ def run_all(
             for future in done:
                 job = waiting.pop(future)
                 ending = _ending(future, job)
-                if ending is None:
-                    waiting[pool.submit(make_done, job)] = job
-                elif ending == "busy" and not is_last:
+                if ending == "busy" and not is_last:
                     busy.append(job)
                 else:
                     on_end(job, ending)
@@ -131,12 +128,10 @@ def run_all(
         jobs = busy
 
 
-def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending | None:
-    """Return how a job ended; None where nobody knows, because Dask's scheduler has been lost."""
+def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending:
+    """Return how a job ended; one that ended several of Dask's workers has failed."""
     try:
         return future.result()
-    except concurrent.futures.CancelledError:
-        return None
     except Exception as error:
         if type(error).__name__ != "KilledWorker":  # Dask's
             raise

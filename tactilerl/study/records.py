@@ -30,8 +30,9 @@ from ..errors import InputError
 from ..files import (
     LEFTOVER,
     MAX_JSON,
-    content,
+    as_json,
     damage_named,
+    read_whole,
     replacing,
     unzip,
     writable,
@@ -105,7 +106,7 @@ class StudyFiles:
     def read(self, name: str) -> bytes:
         """Return a file's content; raise FileNotFoundError where there is none."""
         if self._packed is None:
-            return content(self.path / name)
+            return read_whole(self.path / name)
         if name not in self._packed:
             raise FileNotFoundError(name)
         return self._packed[name]
@@ -129,34 +130,34 @@ class StudyFiles:
 
     def record(self, run: Run) -> Record:
         """Read what there is of a run now."""
-        name = f"{RUNS}/{run.name}"
-        config, unread = self._parsed(f"{name}/config.json", _config, dict[str, Any]())
-        nothing = list[Row](), ""
-        (rows, cut), damaged = self._parsed(f"{name}/progress.csv", _rows, nothing)
-        failure, _ = self._parsed(f"{name}.json", _failure, "")
+        name, problems = f"{RUNS}/{run.name}", list[str]()
+
+        def parsed(file: str, parse: Callable[[bytes], T], nothing: T) -> T:
+            try:
+                with damage_named(Path(file)):
+                    return parse(self.read(file))
+            except FileNotFoundError:
+                return nothing
+            except InputError as error:
+                problems.append(str(error))
+                return nothing
+
+        config = parsed(f"{name}/config.json", _config, dict[str, Any]())
+        is_begun = bool(config or problems)
+        rows, cut = parsed(f"{name}/progress.csv", _rows, (list[Row](), ""))
+        failure = parsed(f"{name}.json", _failure, "")
         planned = config.get("run", {}).get("total_timesteps")
         planned = run.flags.get("total_timesteps", planned)
-        is_length = isinstance(planned, int | float) and planned > 0
-        if config and rows and is_length and int(rows[-1]["env_steps"]) >= planned:
+        steps = int(rows[-1]["env_steps"]) if config and rows else -math.inf
+        if isinstance(planned, int | float) and steps >= planned:
             return Record(run, "done", "", config, rows)
-        state: State = "interrupted" if config or unread else "left"
+        state: State = "interrupted" if is_begun else "left"
         if self._packed is None and self.is_running(run):
             state = "running"
         elif failure:
             state = "failed"
-        return Record(run, state, failure or unread or damaged or cut, config, rows)
-
-    def _parsed(
-        self, name: str, parse: Callable[[bytes], T], nothing: T
-    ) -> tuple[T, str]:
-        """Return what a file says, or `nothing`; and why not, where it is there."""
-        try:
-            with damage_named(Path(name)):
-                return parse(self.read(name)), ""
-        except FileNotFoundError:
-            return nothing, ""
-        except InputError as error:
-            return nothing, str(error)
+        reason = next(filter(None, [failure, *problems, cut]), "")
+        return Record(run, state, reason, config, rows)
 
     def is_running(self, run: Run) -> bool:
         """Return whether a process, here or elsewhere, trains it right now."""
@@ -176,28 +177,23 @@ class StudyFiles:
         for place in (self.path, self.path.resolve()):
             reason = reason.replace(f"{place / RUNS}{os.sep}", "")
         with replacing(self.beside(run, "json")) as file:
-            file.write(_failed(reason))
+            file.write(as_json({"reason": reason}))
 
     def create(self, study: Study) -> None:
         """Make the folder, or write the study anew into one that it was run in."""
-        with writable(self.path):
-            names = (
-                {p.name for p in self.path.iterdir()} if self.path.exists() else set()
-            )
-        holds = ""
-        if STUDY not in names:
-            if any(name != RUNS and not LEFTOVER.fullmatch(name) for name in names):
-                holds = "no study"
-        elif self.study().name != study.name:
-            holds = f"the study {self.study().name!r}, not {study.name!r}"
-        if holds:
+        names = {path.name for path in self.path.glob("*") if path.suffix != LEFTOVER}
+        holds = study.name
+        if names - {RUNS}:
+            holds = self.study().name if STUDY in names else "no study"
+        if holds != study.name:
             raise InputError(
-                f"{str(self.path)!r} holds {holds}; choose another with --out"
+                f"{str(self.path)!r} holds {holds}, not the study {study.name!r}; choose another "
+                "with --out"
             )
         with writable(self.path):
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
         with replacing(self.path / STUDY) as file:
-            file.write(_study(study))
+            file.write(as_json(study.as_dict()))
 
 
 def _config(data: bytes) -> dict[str, Any]:
@@ -214,14 +210,6 @@ def _failure(data: bytes) -> str:
     return str(json.loads(data[: MAX_JSON + 1])["reason"]) or "failed"
 
 
-def _failed(reason: str) -> bytes:
-    return (json.dumps({"state": "failed", "reason": reason}) + "\n").encode()
-
-
-def _study(study: Study) -> bytes:
-    return (json.dumps(study.as_dict(), indent=1) + "\n").encode()
-
-
 def load(path: Path) -> tuple[Study, list[Record]]:
     """Return the study in a folder or a packed file, and all its runs in order of the grid."""
     files = StudyFiles(path)
@@ -233,15 +221,15 @@ def collect(path: Path, out: Path | None = None) -> Path:
     """Pack the records of a study into one file, and return its path."""
     out = out or path / PACKED
     study, records = load(path)
-    here, files = StudyFiles(path), {STUDY: _study(study)}
+    here, files = StudyFiles(path), {STUDY: as_json(study.as_dict())}
     for record in records:
         name = f"{RUNS}/{record.run.name}"
         if record.config:
-            files[f"{name}/config.json"] = json.dumps(record.config).encode()
+            files[f"{name}/config.json"] = as_json(record.config)
         if record.rows:
             files[f"{name}/progress.csv"] = here.read(f"{name}/progress.csv")
         if record.state == "failed":
-            files[f"{name}.json"] = _failed(record.reason)
+            files[f"{name}.json"] = as_json({"reason": record.reason})
     with (
         replacing(out) as file,
         GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,

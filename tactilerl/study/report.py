@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jinja2
 
 from .. import statistics
-from ..files import own_folder, replacing, require_file
+from ..files import make_folder, replacing, require_file
 from ..machine import short
 from ..statistics import FEW_RUNS, Estimate, fewest_pairs
 from . import figures
@@ -300,7 +300,7 @@ def write(analysis: Analysis, folder: Path) -> Path:
     )
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("tables", "figures"):
-        own_folder(folder / name)
+        make_folder(folder / name)
     files[page] = html.encode()
     for path in files:
         require_file(path)

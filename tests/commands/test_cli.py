@@ -203,21 +203,15 @@ class TestResume:
         more = ["train", "--resume", "run", "--anneal-lr", "--total-timesteps", "240"]
         fails_with(capsys, more, "total_timesteps: found 240")
 
-    def test_a_goal_that_is_behind_the_run_is_refused_and_changes_nothing(self, capsys):
-        main([*TOY, "--total-timesteps", "240", "--out", "run"])
-        before = Path("run/config.json").read_bytes()
-        again = ["train", "--resume", "run", "--total-timesteps"]
-        fails_with(capsys, [*again, "100"], "found 100 for a run that has made 2", "from the run's beg")
-        assert Path("run/config.json").read_bytes() == before
-        assert "nothing to do" in printed(capsys, [*again, "240"])
-
     def test_a_recipe_is_where_the_other_flags_start(self, capsys):
         main([*TOY, "--recipe", "steady", "--gamma", "0.9", "--total-timesteps", "1", "--out", "run"])
         chosen = json.loads(Path("run/config.json").read_text())["learner"]
         steady = json.loads(json.dumps(asdict(recipes.recipe("ppo", "steady"))))
         mine = {"gamma": 0.9, "hidden": [16], "steps_per_epoch": 120, "n_passes": 2}
         assert chosen.items() >= {**steady, **mine}.items()
-        assert main(["train", "--resume", "run", "--total-timesteps", "240"]) == 0
+        for _ in range(2):
+            out = printed(capsys, ["train", "--resume", "run", "--total-timesteps", "240"])
+        assert "nothing to do" in out
         again = ["train", "--resume", "run", "--total-timesteps", "360", "--recipe"]
         fails_with(capsys, [*again, "steady", *FAST], "gamma: found 0.99, the run was made with 0.9")
         fails_with(capsys, [*again, "paper", *FAST], "the run was made with")
@@ -273,7 +267,6 @@ class TestBadInput:
         [
             ("train --scen handover", "--scene STR"),
             ("train --env shadwo", "did you mean shadow?"),
-            ("train --algo PPO", "did you mean ppo?"),
             ("train --env shadov --layout 4", "did you mean shadow? allowed: shadow, mpl, allegro"),
             ("gate --scene handover --touch off", "touch"),
         ],

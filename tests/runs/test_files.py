@@ -127,12 +127,11 @@ class TestCheckpoint:
     @pytest.mark.parametrize(
         ("pickled", "how", "words"),
         [
-            (pickle.dumps({"format": 3}, 2)[:-1] + b"0" * 10**6, zipfile.ZIP_DEFLATED, "unpacks to"),
+            (pickle.dumps({"format": 3}, 2)[:-1] + b"0" * 10**6, zipfile.ZIP_DEFLATED, "compressed"),
             (b"\x80\x02" + b"]" * 10**6 + b"a" * (10**6 - 1) + b".", 0, "not a checkpoint"),
-            (b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.", 0, "bytearray"),
             (b"\x80\x02cos\nsystem\nU\x0ctouch hackedq\x85R.", 0, "damaged"),
         ],
-        ids=["deflated", "deep", "long", "code"],
+        ids=["deflated", "deep", "code"],
     )
     def test_bombs(self, ppo, capsys, pickled, how, words):
         """Files that are small and would become large, or run code."""
@@ -288,7 +287,7 @@ class TestConfig:
             ("run", "total_timesteps", "x", "total_timesteps: found 'x'"),
             ("run", "seed", 10**400, "seed: found a number of 1329 bits"),
             ("run", "env", None, "env: found None"),
-            ("run", "env", "shadow", "env: found 'shadow' with no scene"),
+            ("run", "env", "shadow", "env: found 'shadow', which does not"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
             ("run", "more", 1, "run: unknown key 'more'"),
             ("learner", "hidden", [8, "8"], "hidden: found '8'"),

@@ -66,7 +66,7 @@ class TestRun:
         [
             ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
             ("total_timesteps = 200", "total_timesteps = 100", "found 100, allowed 200"),
-            ('"tiny"', '"other"', "holds the study 'tiny', not 'other'"),
+            ('"tiny"', '"other"', "holds tiny, not the study 'other'"),
         ],
     )
     def test_another_run_or_study_in_its_folder_is_refused(

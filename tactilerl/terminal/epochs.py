@@ -1,4 +1,4 @@
-"""Show the progress of a run: a bar on a terminal, plain lines in a pipe."""
+"""Show the progress of a run: a line for each epoch, and events for TensorBoard."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rich import progress
 from rich.console import Console
 
 from ..algos.learner import Learner
@@ -22,13 +21,13 @@ SAID = {  # of a run that has had such faults
 }
 
 
-class ProgressBar:
-    """Show each epoch; write TensorBoard events to a folder when given one."""
+class EpochLog:
+    """Print a line for each epoch; write TensorBoard events to a folder when given one."""
 
     def __init__(
         self, learner: Learner, comm: Communicator, events: Path | None = None
     ) -> None:
-        """Begin where `learner` is; `events` is the folder. Ranks but the first show nothing."""
+        """Begin where `learner` is; `events` is the folder. Ranks but the first print nothing."""
         self.console = Console(
             quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False
         )
@@ -39,51 +38,31 @@ class ProgressBar:
         if events is not None and comm.rank == 0:
             # Events of another process are hidden: its last ones may be missing.
             self._events = require_tensorboard()(str(events), purge_step=0)
-        # mpirun hands its ranks a terminal that is none: plain lines for several processes
-        self._is_bar = self.console.is_terminal and comm.size == 1
-        self._bar = progress.Progress(
-            progress.BarColumn(),
-            progress.MofNCompleteColumn(),
-            progress.TextColumn("steps  {task.description}"),
-            progress.TimeElapsedColumn(),
-            console=self.console,
-            disable=not self._is_bar,
-        )
-        self._task = self._bar.add_task(
-            "", total=self.total, completed=learner.env_steps
-        )
 
-    def __enter__(self) -> ProgressBar:
-        self._bar.start()
+    def __enter__(self) -> EpochLog:
+        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        """Close the events, and print how often something went wrong."""
         if self._events is not None:
             self._events.close()
         for fault, times in self._faults.items():
             if times:
                 self.console.print(f"warning: {SAID[fault].format(times)}")
 
-    def note(self, text: str) -> None:
-        """Show a line."""
-        self.console.print(text)
-
-    def epoch(self, row: dict[str, Any]) -> None:
-        """Show one row of the progress table."""
+    def epoch(self, row: Mapping[str, Any]) -> None:
+        """Print one row of the progress table."""
         for fault in self._faults:
             self._faults[fault] += row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0)
-        steps, text = row["env_steps"], f"success {_rate(row['success_rate'])}  "
+        steps, text = row["env_steps"], f"success {_percent(row['success_rate'])}  "
         if "test_success_rate" in row:
-            text += f"test {_rate(row['test_success_rate'])}  "
+            text += f"test {_percent(row['test_success_rate'])}  "
         spent = time.perf_counter() - self._started
         left = spent * max(0, self.total - steps) / (steps - self._first_step)
         text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s  "
-        text += f"ETA {duration(left)}"
-        self._bar.update(self._task, completed=min(steps, self.total), description=text)
-        if not self._is_bar:
-            done = f"{steps:,}/{self.total:,}"
-            self.console.print(f"epoch {row['epoch']:4d}  steps {done}  {text}")
+        done = f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}"
+        self.console.print(f"{done}  {text}ETA {duration(left)}")
         self.write_events(row)
 
     def write_events(self, row: Mapping[str, float | str]) -> None:
@@ -98,7 +77,7 @@ class ProgressBar:
         self._events.flush()
 
 
-def _rate(value: float) -> str:
+def _percent(value: float) -> str:
     return "  –  " if math.isnan(value) else f"{100 * value:4.0f}%"
 
 
