@@ -14,7 +14,6 @@ import io
 import traceback
 from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import gymnasium as gym
@@ -27,26 +26,13 @@ ROBOTICS = "gymnasium_robotics"
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
-def _require_keywords(choices: dict[str, Any]) -> None:
-    from .grasp import GraspConfig
-
-    try:
-        require_known(choices, known := validation.names(GraspConfig))
-    except ValueError as error:
-        unknown = next(name for name in choices if name not in known)
-        raise UnexpectedKeyword(
-            f"{error} (got an unexpected keyword argument {unknown!r})"
-        ) from None
-
-
 class UnexpectedKeyword(TypeError, ValueError):
-    """A keyword that no environment of that name takes: as Python says it, and one line."""
+    """A keyword that no environment of that name takes: an error as Python has it, of one line."""
 
 
 def make(
     name: str | None = None,
     *,
-    env: str | None = None,
     scene: str | None = None,
     render_mode: str | None = None,
     **choices: Any,
@@ -54,11 +40,10 @@ def make(
     """Return an environment by name.
 
     `name` is one of the library's hands or the path of a hand's .toml file (`choices` are then fields
-    of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id; `env` means the same.
-    `scene` is a named scene (`scenes.names`) or its file; `name` and `choices` then change what it
-    says. Raises ValueError when there is none of that name.
+    of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. `scene` is a named scene
+    (`scenes.names`) or its file; `name` and `choices` then change what it says. Raise ValueError when
+    there is none of that name.
     """
-    name = name or env
     validation.require_type(name, str | None, "env")
     if scene is not None:
         named = scenes.load(scene)
@@ -70,10 +55,7 @@ def make(
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")
     if hands.is_hand(name):
-        from .grasp import GraspEnv, setup
-
-        _require_keywords(choices)
-        return GraspEnv(name, setup(name, **choices), render_mode)
+        return _make_grasp(name, render_mode, choices)
     if render_mode is not None:
         choices["render_mode"] = render_mode
     if ":" in name:  # "my_module:MyEnv-v0"
@@ -83,11 +65,10 @@ def make(
     except gym.error.Error as error:
         known = (*hands.names(), *TOYS)
         reason = str(error).strip().splitlines()[0]
-        allowed = (
-            f"{', '.join(known)}, a hand's .toml file, a Gymnasium id, or MODULE:ID"
-        )
-        what = f"unknown environment {name!r}; {_meant(name, known)}"
-        raise ValueError(f"{what}allowed: {allowed} ({reason})") from None
+        raise ValueError(
+            f"unknown environment {name!r}; {_hint(name, known)}allowed: {', '.join(known)}, a hand's "
+            f".toml file, a Gymnasium id, or MODULE:ID ({reason})"
+        ) from None
     except (ValueError, OSError, RuntimeError):  # say what is wrong
         raise
     except Exception as error:  # of an environment that is not ours
@@ -96,10 +77,27 @@ def make(
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 
-def _meant(name: str, known: tuple[str, ...]) -> str:
+def _make_grasp(
+    hand: str, render_mode: str | None, choices: dict[str, Any]
+) -> gym.Env[Any, Any]:
+    """Return the environment of a hand; raise UnexpectedKeyword for a choice that there is not."""
+    from .grasp import GraspConfig, GraspEnv, setup
+
+    fields = validation.names(GraspConfig)
+    unknown = [choice for choice in choices if choice not in fields]
+    try:
+        require_known(unknown, fields)
+    except ValueError as error:
+        python = f"got an unexpected keyword argument {unknown[0]!r}"
+        raise UnexpectedKeyword(f"{error} ({python})") from None
+    return GraspEnv(hand, setup(hand, **choices), render_mode)
+
+
+def _hint(name: str, known: tuple[str, ...]) -> str:
+    """Return a question that says what may have been meant, or nothing."""
     if name in scenes.names():
         return f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
-    if name not in gym.registry and find_spec(ROBOTICS):
+    if name not in gym.registry:
         with contextlib.redirect_stderr(io.StringIO()):  # it prints what is new
             import_module(ROBOTICS)  # which registers its environments
         if name in gym.registry:

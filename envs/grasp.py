@@ -67,15 +67,16 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Physics step, s."""
 
     def __post_init__(self) -> None:
-        chosen = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
+        """Convert what JSON, TOML and NumPy have instead of these types."""
+        fields = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
         if np.ndim(self.object_size) == 0:
-            chosen["object_size"] = (self.object_size,)
-        for name, value in validation.plain(chosen).items():
+            fields["object_size"] = (self.object_size,)
+        for name, value in validation.plain(fields).items():
             object.__setattr__(self, name, value)
 
     @property
     def n_substeps(self) -> int:
-        """Timesteps per action."""
+        """Number of timesteps per action."""
         return round(self.control_dt / self.timestep)
 
     def validate(self) -> None:
@@ -85,10 +86,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         plugins.require_class(tasks.TASKS, self.task, "task", tasks.Task)
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
+            found = f"found {self.control_dt} s"
             allowed = f"a whole number of timesteps of {self.timestep} s"
-            raise ValueError(
-                f"control_dt: found {self.control_dt} s, allowed {allowed}"
-            )
+            raise ValueError(f"control_dt: {found}, allowed {allowed}")
         if self.touch_rule != "skin":
             validation.allow_only_with(
                 "touch_rule skin", self, "taxel_threshold", "taxel_release"
@@ -103,7 +103,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """Return the configuration of a hand's set-up, with some fields chosen otherwise.
 
-    Raises ValueError when there is no such field.
+    Raise ValueError when there is no such field.
     """
     usual, known = hands.usage(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
@@ -121,10 +121,11 @@ class GraspEnv(gym.Env[Any, Array]):
     ``object`` the episode has; ``diverged`` when the physics broke, and then an ``error``: the step
     is void, the observation the last good one, and the episode truncated; and ``warnings``, how often
     the simulator has warned since the last step.
-    ``state`` is what was true after the last action, before any hold test.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"]}
+    state: State
+    """State after the last action, before any hold test."""
 
     def __init__(
         self,
@@ -132,6 +133,10 @@ class GraspEnv(gym.Env[Any, Array]):
         config: GraspConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
+        """Make the environment of a hand, by name or file, in a scene (None: the hand's set-up).
+
+        Raise ValueError for a scene that cannot be.
+        """
         self.config = config = config or setup(hand)
         validation.validate(config)
         if render_mode is not None:
@@ -146,11 +151,16 @@ class GraspEnv(gym.Env[Any, Array]):
         if config.actions != "all":
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        figures = config.taxel_threshold, config.taxel_release
-        self._touch = touch.make(config.touch_rule, self.taxels, self.hand, *figures)
-        self._points = touch.taxel_points(self.taxels)
-        kind: type[tasks.Task] = tasks.TASKS[config.task]
-        self.task = kind(config, self.hand, setup(hand).timestep, first.shape)
+        self._touch = touch.make(
+            config.touch_rule,
+            self.taxels,
+            self.hand,
+            config.taxel_threshold,
+            config.taxel_release,
+        )
+        self.task: tasks.Task = tasks.TASKS[config.task](
+            config, self.hand, setup(hand).timestep, first.shape
+        )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         scene = simulators.Scene(
             hand=self.hand,
@@ -165,11 +175,10 @@ class GraspEnv(gym.Env[Any, Array]):
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)
-        names = () if config.touch == "absent" else self.taxels.names
         self._observer = Observer(
             config,
             self.hand,
-            names,
+            () if config.touch == "absent" else self.taxels.names,
             self._touch.is_boolean,
             config.control_dt,
             first.shape,
@@ -181,56 +190,53 @@ class GraspEnv(gym.Env[Any, Array]):
         self._warnings = self.simulator.warnings
         self._steps = 0
         self._obs: dict[str, Array] = {}
-        self.action_space = gym.spaces.Box(
-            -1.0, 1.0, (len(self.hand.action_names),), np.float32
+        size = len(self.hand.action_names)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
+        goals = gym.spaces.Box(-np.inf, np.inf, (self.task.goal_size,), np.float32)
+        desired = goals
+        if self.task.only_goal is not None:
+            goal = self.task.only_goal.astype(np.float32)
+            desired = gym.spaces.Box(goal, goal)
+        self.observation_space = gym.spaces.Dict(
+            observation=self._observer.space, achieved_goal=goals, desired_goal=desired
         )
-        self.observation_space = self._spaces()
 
     def _palm_skin(self) -> Array:
         """Return the place (3,) on the palm's skin where objects are handed over."""
-        beside = self.hand.handed_beside
         palm = [
-            s
-            for s in self.hand.surfaces
-            if s.segment == "palm" and s.digit not in beside
+            surface
+            for surface in self.hand.surfaces
+            if surface.segment == "palm"
+            and surface.digit not in self.hand.handed_beside
         ]
         positions, rotations = self.state.poses(tuple(surface.link for surface in palm))
         centres = np.array([surface.centre for surface in palm])[:, :, None]
         return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
 
-    def _spaces(self) -> gym.spaces.Dict:
-        """Return the spaces of observations, where a task with a single goal has it as its only one."""
-        unbounded, goal = np.full(self.task.goal_size, np.inf, np.float32), None
-        if self.task.only_goal is not None:
-            goal = self.task.only_goal.astype(np.float32)
-        anything = gym.spaces.Box(-unbounded, unbounded)
-        spaces = {"observation": self._observer.space, "achieved_goal": anything}
-        wanted = anything if goal is None else gym.spaces.Box(goal, goal)
-        return gym.spaces.Dict({**spaces, "desired_goal": wanted})
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Begin an episode, and return its first observation and info."""
         super().reset(seed=seed)
         # To spawn draws nothing from the generator itself.
-        observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
+        observer_rng, task_rng, object_rng = self.np_random.spawn(3)
         self._item = item = self._items.draw(object_rng)
         start = self.task.start(
-            self._jittered(item.shape), self.palm_skin, item.shape, goal_rng
+            self._jittered(item.shape), self.palm_skin, item.shape, task_rng
         )
-        self._observer.begin(observer_rng)
-        self._touch.begin()
+        self._observer.reset(observer_rng)
+        self._touch.reset()
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(*start)
             self.state = self.simulator.state()
-            sensed = self._sense(self.state)
+            observation = self._observe()
         except SimulationError as error:
             raise SimulationError(f"an episode cannot begin: {error}") from error
-        achieved, desired = self.task.begin(self.state, goal_rng)
+        achieved, desired = self.task.reset(self.state, task_rng)
         self._desired_goal, self._steps = self._goal(desired), 0
         self.task.before_step(self.simulator, self._steps)
-        self._obs = self._goal_obs(sensed, achieved)
+        self._obs = self._goal_obs(observation, achieved)
         if self.render_mode == "human":
             self.render()
         return self._obs, self._info()
@@ -251,6 +257,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def step(
         self, action: Array
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """Take a step by an action (n,): return obs, reward, terminated, truncated and info."""
         if not self._obs:
             raise gym.error.ResetNeeded("step: found before the first reset")
         action, shape = np.asarray(action, dtype=np.float64), self.action_space.shape
@@ -271,8 +278,8 @@ class GraspEnv(gym.Env[Any, Array]):
             self.task.before_step(self.simulator, self._steps)
             self.simulator.step(targets, self.config.n_substeps)
             before, self.state = self.state, self.simulator.state()
-            self._require_whole(before)
-            sensed = self._sense(self.state)
+            self._require_not_ejected(before)
+            observation = self._observe()
             achieved, terminated = self.task.after_step(self.state, is_last)
             if not terminated and self.task.is_hold_due(self.state):
                 is_held = self.task.hold.run(self.simulator, self.state)
@@ -282,24 +289,25 @@ class GraspEnv(gym.Env[Any, Array]):
             obs = {key: value.copy() for key, value in self._obs.items()}
             info = self._info(diverged=True, error=str(error))
             return obs, 0.0, False, True, info
-        self._obs = obs = self._goal_obs(sensed, achieved)
+        self._obs = obs = self._goal_obs(observation, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        reward = self.task.reward(*goals)
-        plugins.require_array(reward, (), f"task {self.config.task}: reward")
+        reward = float(self.task.compute_reward(*goals))
+        info = self._info(is_success=bool(self.task.is_success(*goals)))
         if self.render_mode == "human":
             self.render()
-        info = self._info(is_success=bool(self.task.is_success(*goals)))
-        return obs, float(reward), terminated, is_last and not terminated, info
+        return obs, reward, terminated, is_last and not terminated, info
 
     def compute_reward(
         self, achieved_goal: Array, desired_goal: Array, info: Any
     ) -> Array:
-        """Rewards (...) of goals (..., goal_size); pure, `info` is not looked at."""
-        return self.task.reward(np.asarray(achieved_goal), np.asarray(desired_goal))
+        """Return the rewards (...) of goals (..., goal_size), by them alone."""
+        return self.task.compute_reward(
+            np.asarray(achieved_goal), np.asarray(desired_goal)
+        )
 
     @property
     def shape(self) -> Shape:
-        """The object's, in this episode."""
+        """Shape of the object in this episode."""
         return self._item.shape
 
     def observation_names(self) -> list[str]:
@@ -307,7 +315,7 @@ class GraspEnv(gym.Env[Any, Array]):
         return list(self._observer.space.names)
 
     def observation_entries(self, *terms: str) -> Array:
-        """Return indices of the newest entries of some terms, or "taxels", in ``observation``."""
+        """Return indices of the newest entries of these terms, or "taxels", in ``observation``."""
         return self._observer.entries(*terms)
 
     @property
@@ -339,21 +347,24 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def spheres(self) -> Iterator[Sphere]:
         """Yield the taxels, to be drawn."""
-        state, radii = self.simulator.state(), self.taxels.radii
         if self.config.touch == "absent":
             return
-        felt = self._touch.read(state) if self.config.touch == "on" else 0 * radii
-        centres = self._points.world(state)
-        for centre, radius, on in zip(centres, radii, felt > 0, strict=True):
-            if on:
+        state, radii = self.simulator.state(), self.taxels.radii
+        is_on = np.zeros(len(radii), bool)
+        if self.config.touch == "on":
+            is_on = self._touch.read(state) > 0
+        centres = touch.taxel_points(self.taxels).world(state)
+        for centre, radius, is_lit in zip(centres, radii, is_on, strict=True):
+            if is_lit:
                 yield Sphere(centre, LIT_SCALE * radius, LIT)
             else:
                 yield Sphere(centre, radius, DARK)
 
     def close(self) -> None:
+        """Release what the simulator holds."""
         self.simulator.close()
 
-    def _require_whole(self, before: State) -> None:
+    def _require_not_ejected(self, before: State) -> None:
         """Raise SimulationError when an action moved the object too fast.
 
         The physics can break and stay finite, as when fingers that overlap deeply shoot the object out.
@@ -363,15 +374,15 @@ class GraspEnv(gym.Env[Any, Array]):
         if not speed < EJECTED:
             raise SimulationError(f"the object was ejected at {speed:.3g} m/s")
 
-    def _sense(self, state: State) -> Array:
-        """Return what the policy observes; SimulationError when the physics broke."""
-        felt = np.zeros(len(self.taxels) if self.config.touch == "off" else 0)
-        if self.config.touch == "on":
+    def _observe(self) -> Array:
+        """Return the policy's observation; raise SimulationError when the physics broke."""
+        touch_kind, n = self.config.touch, len(self.taxels)
+        readings = np.zeros(0 if touch_kind == "absent" else n)
+        if touch_kind == "on":
             where = f"touch_rule {self.config.touch_rule}: read"
-            felt = plugins.require_array(
-                self._touch.read(state), (len(self.taxels),), where
-            )
-        observation = self._observer.observe(state, felt)
+            readings = self._touch.read(self.state)
+            readings = plugins.require_array(readings, (n,), where)
+        observation = self._observer.observe(self.state, readings)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise SimulationError(
@@ -379,17 +390,23 @@ class GraspEnv(gym.Env[Any, Array]):
             )
         return observation
 
-    def _info(self, **said: Any) -> dict[str, Any]:
+    def _info(self, **values: Any) -> dict[str, Any]:
         """Return `info` with all of its keys."""
-        usual = {"is_success": False, "object": self._item.describe()}
-        usual |= {"diverged": False, "error": "", "warnings": 0}
+        n_warnings = 0
         if self._steps:  # the first step tells of a reset's warnings
             before, self._warnings = self._warnings, self.simulator.warnings
-            usual["warnings"] = self._warnings - before
-        return {**usual, **said}
+            n_warnings = self._warnings - before
+        return {
+            "is_success": False,
+            "object": self._item.describe(),
+            "diverged": False,
+            "error": "",
+            "warnings": n_warnings,
+            **values,
+        }
 
     def _goal(self, goal: Array) -> Array:
-        """Return a goal that the task returned, float32; ValueError where it is none."""
+        """Return a goal that the task returned, float32; raise ValueError where it is none."""
         where, shape = f"task {self.config.task}", (self.task.goal_size,)
         return plugins.require_array(goal, shape, where).astype(np.float32)
 

@@ -92,6 +92,7 @@ class Items:
     """The objects that a configuration allows."""
 
     def __init__(self, config: ObjectConfig) -> None:
+        """Read kinds, sizes and ranges; raise ValueError for one that is none."""
         self._kinds = _kinds(config.object)
         self._sizes = [bounds("object_size", size) for size in config.object_size]
         self._density = bounds("object_density", config.object_density)

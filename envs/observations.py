@@ -1,8 +1,8 @@
 """Make the policy's observation: terms, sight, joint angles, taxels with their faults, history.
 
-One small object a concern, begun with every episode. Sight, joints and taxels each have a generator of
-their own, so that what one draws moves nothing that another draws; a taxel's reading passes one `Stage`
-after another. Goals and rewards never pass here: they keep the state.
+There is one small class for each, reset with every episode. Sight, joints and taxels each have a
+generator of their own, so that what one draws moves nothing that another draws; a taxel's reading
+passes one `Stage` after another. Goals and rewards never pass here: they keep the state.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .hands import SLIDES, Hand
+from .hands import ARM, SLIDES, Hand
 from .state import KINDS, Array, Shape, State
 from .validation import Fraction, Newtons, allow_only_with, require_one_of
 
@@ -29,7 +29,7 @@ SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying 
 
 @dataclass(frozen=True)
 class TaxelFaults:
-    """Broken taxels and false readings. None, by default."""
+    """Broken taxels and false readings; by default, none."""
 
     taxel_false_on: Fraction = 0.0
     """Probability per step that a taxel that is off reads on."""
@@ -119,16 +119,16 @@ class Term(NamedTuple):
     entries: Callable[[Hand], Sequence[str]]
     """Names that tell the entries apart."""
     read: Callable[[Hand, State], Array]
-    """Function that returns the entries (n,) of what is sensed."""
+    """Function that returns the entries (n,) from the state as it is sensed."""
 
 
-def _of_first_joints(hand: Hand, state: State) -> Array:
+def _first_joints(hand: Hand, state: State) -> Array:
     return state.joint_positions[[hand.joints.index(j) for j in hand.first_joints]]
 
 
-def _upper(quaternion: Array) -> Array:
-    """Return, of the two quaternions of an orientation, that with w from 0 up."""
-    return np.copysign(1.0, quaternion[0]) * quaternion
+def _upper_quaternion(hand: Hand, state: State) -> Array:
+    """Return, of the two quaternions of the object's orientation, that with w from 0 up."""
+    return np.copysign(1.0, state.object_orientation[0]) * state.object_orientation
 
 
 TERMS = {
@@ -138,40 +138,106 @@ TERMS = {
         lambda _, state: np.array([float(KINDS.index(state.shape.kind))]),
     ),
     "hand_position": Term("hand", lambda _: "xyz", lambda _, state: state.palm),
-    "finger_joints": Term("position of", attrgetter("first_joints"), _of_first_joints),
+    "finger_joints": Term("position of", attrgetter("first_joints"), _first_joints),
     "joint_positions": Term(
-        "position of", attrgetter("joints"), lambda _, s: s.joint_positions
+        "position of", attrgetter("joints"), lambda _, state: state.joint_positions
     ),
     "joint_velocities": Term(
-        "velocity of", attrgetter("joints"), lambda _, s: s.joint_velocities
+        "velocity of", attrgetter("joints"), lambda _, state: state.joint_velocities
     ),
     "object_position": Term(
         "object", lambda _: "xyz", lambda _, state: state.object_position
     ),
     "object_orientation": Term(
-        "object quaternion",
-        lambda _: "wxyz",
-        lambda _, state: _upper(state.object_orientation),
+        "object quaternion", lambda _: "wxyz", _upper_quaternion
     ),
     "targets": Term(
         "asked for:",
         attrgetter("action_names"),
-        lambda h, state: h.action_map.commands(state.targets),
+        lambda hand, state: hand.action_map.commands(state.targets),
     ),
 }
+
 # -- stages ----------------------------------------------------------------------------------
 
 
 class Stage(ABC):
-    """Change a reading (..., n) on its way to the policy."""
+    """Change a reading (n,) on its way to the policy."""
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: np.random.Generator) -> None:
         """Begin a new episode, whose draws come from `rng`."""
         self._rng = rng
 
     @abstractmethod
     def __call__(self, reading: Array) -> Array:
         """Return what comes out of a control step's reading; the first is the episode's start."""
+
+
+class FalseReadings(Stage):
+    """Bits that flip at random."""
+
+    def __init__(self, false_on: float, false_off: float) -> None:
+        """Take the probabilities per step that a 0 reads 1, and that a 1 reads 0."""
+        self.false_on, self.false_off = false_on, false_off
+
+    def __call__(self, reading: Array) -> Array:
+        """Return the reading with some bits flipped."""
+        draws = self._rng.random(reading.shape)
+        off = draws < self.false_on
+        return np.where(reading > 0, np.where(draws < self.false_off, 0, reading), off)
+
+
+class Broken(Stage):
+    """Sensors that always read the same: some are dead and read 0, some are stuck and read 1.
+
+    Which ones follows from `seed` alone, and those of a smaller share are among those of a larger.
+    """
+
+    def __init__(self, n: int, dead: float, stuck: float, seed: int) -> None:
+        """Break shares of `n` sensors."""
+        order = np.random.default_rng(seed).permutation(n)
+        n_dead = round(dead * n)
+        self.dead = order[:n_dead]
+        self.stuck = order[max(n_dead, n - round(stuck * n)) :]
+
+    def __call__(self, reading: Array) -> Array:
+        """Return the reading with 0 and 1 where sensors are dead and stuck."""
+        reading = reading.copy()
+        reading[self.dead], reading[self.stuck] = 0, 1
+        return reading
+
+
+class Past(Stage):
+    """Give the readings of the last `n` control steps, the newest first.
+
+    Before an episode, all was as at its start.
+    """
+
+    def __init__(self, n: int) -> None:
+        """Remember `n` readings."""
+        self._n, self._readings = n, deque[Array](maxlen=n)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Forget the last episode."""
+        self._readings.clear()
+
+    def __call__(self, reading: Array) -> Array:
+        """Return the readings, n times as many entries."""
+        self._readings.extendleft([reading] * (1 if self._readings else self._n))
+        return np.concatenate(self._readings)
+
+
+class Delay(Past):
+    """Give what was read `steps` control steps ago."""
+
+    def __init__(self, steps: int) -> None:
+        """Remember the reading of now, and of `steps` steps."""
+        super().__init__(steps + 1)
+
+    def __call__(self, reading: Array) -> Array:
+        """Return the oldest reading that is remembered."""
+        super().__call__(reading)
+        return self._readings[-1]
 
 
 class JointErrors:
@@ -181,10 +247,11 @@ class JointErrors:
     """
 
     def __init__(self, white: Array, held: Array, control_dt: float) -> None:
-        """Take the standard deviations (n,) of both, rad or m."""
+        """Take the standard deviations (n_joints,) of both, rad or m."""
         self.white, self.held, self.control_dt = white, held, control_dt
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin a new episode, and draw its constant offsets."""
         (held,) = rng.spawn(1)  # draws nothing from `rng`
         self._rng, self._error = rng, self.held * held.standard_normal(self.held.shape)
         self._noise: Array | None = None
@@ -199,66 +266,8 @@ class JointErrors:
             joint_positions=state.joint_positions + error,
             joint_velocities=state.joint_velocities + speed,
             # The slides, along the world's axes, carry the palm.
-            palm=state.palm + error[: len(SLIDES)],
+            palm=state.palm + error[ARM],
         )
-
-
-class FalseReadings(Stage):
-    """Bits that flip at random."""
-
-    def __init__(self, false_on: float, false_off: float) -> None:
-        self.false_on, self.false_off = false_on, false_off
-
-    def __call__(self, reading: Array) -> Array:
-        draws = self._rng.random(reading.shape)
-        off = draws < self.false_on
-        return np.where(reading > 0, np.where(draws < self.false_off, 0, reading), off)
-
-
-class Broken(Stage):
-    """Sensors that always read the same: some are dead and read 0, some are stuck and read 1.
-
-    Which ones follows from `seed` alone, and those of a smaller share are among those of a larger.
-    """
-
-    def __init__(self, n: int, dead: float, stuck: float, seed: int) -> None:
-        order = np.random.default_rng(seed).permutation(n)
-        n_dead = round(dead * n)
-        self.dead = order[:n_dead]
-        self.stuck = order[max(n_dead, n - round(stuck * n)) :]
-
-    def __call__(self, reading: Array) -> Array:
-        reading = reading.copy()
-        reading[..., self.dead], reading[..., self.stuck] = 0, 1
-        return reading
-
-
-class Past(Stage):
-    """Give the readings of the last `n` control steps, the newest first.
-
-    Before an episode, all was as at its start.
-    """
-
-    def __init__(self, n: int) -> None:
-        self._n, self._readings = n, deque[Array](maxlen=n)
-
-    def begin(self, rng: np.random.Generator) -> None:
-        self._readings.clear()
-
-    def __call__(self, reading: Array) -> Array:
-        self._readings.extendleft([reading] * (1 if self._readings else self._n))
-        return np.concatenate(self._readings)
-
-
-class Delay(Past):
-    """Give what was read `steps` control steps ago."""
-
-    def __init__(self, steps: int) -> None:
-        super().__init__(steps + 1)
-
-    def __call__(self, reading: Array) -> Array:
-        super().__call__(reading)
-        return self._readings[-1]
 
 
 # -- sight -----------------------------------------------------------------------------------
@@ -273,12 +282,14 @@ class Sight:
     """
 
     def __init__(self, config: SensorConfig, first: Shape) -> None:
-        self._seen = config.object_seen
+        """Take the configuration and the shape of the scene's first object."""
+        self._mode = config.object_seen
         self._is_held = config.sight_noise_kind == "held"
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
-        self._shape = first
+        self._first = first
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin a new episode, and draw its error."""
         self._rng = rng
         self._start: State | None = None
         self._error = self._draw()
@@ -288,21 +299,21 @@ class Sight:
 
     def __call__(self, state: State) -> State:
         """Return the state as it is seen; of the object's pose only position and quaternion count."""
-        if self._seen == "exact":
+        if self._mode == "exact":
             return state
-        shape, self._start = state.shape, self._start or state
+        if self._mode == "hidden":
+            state = replace(state, shape=self._first, object_position=np.zeros(3))
+            return replace(state, object_orientation=np.zeros(4))
+        self._start = self._start or state
         position = self._start.object_position
         orientation = self._start.object_orientation
-        if self._seen == "hidden":
-            shape, position, orientation = self._shape, np.zeros(3), np.zeros(4)
-        if self._seen == "noisy":
+        if self._mode == "noisy":
             error = self._error if self._is_held else self._draw()
             actual = Rotation.from_quat(state.object_orientation, scalar_first=True)
             turned = Rotation.from_rotvec(error[3:]) * actual
             position = state.object_position + error[:3]
             orientation = turned.as_quat(scalar_first=True)
-        state = replace(state, shape=shape, object_position=position)
-        return replace(state, object_orientation=orientation)
+        return replace(state, object_position=position, object_orientation=orientation)
 
 
 # -- all of it -------------------------------------------------------------------------------
@@ -312,6 +323,7 @@ class NamedBox(gym.spaces.Box):
     """A Box of float32 that says what its entries are; the last `n_taxels` are readings from 0 up."""
 
     def __init__(self, names: Sequence[str], n_taxels: int, is_boolean: bool) -> None:
+        """Take the entries' names; `is_boolean` says that readings are 0 or 1."""
         high = np.full(len(names), np.inf, np.float32)
         low = -high
         low[len(names) - n_taxels :] = 0.0
@@ -322,7 +334,7 @@ class NamedBox(gym.spaces.Box):
 
 
 class Observer:
-    """Turns states into the observation of one hand with its sensors.
+    """Turn states into the observation of one hand with its sensors.
 
     The taxels, of the oldest to be remembered too, stand at the end.
     """
@@ -352,8 +364,7 @@ class Observer:
         self._joints: JointErrors | None = None
         if white.any() or held.any():
             self._joints = JointErrors(white, held, control_dt)
-        stages = [made(config, len(taxel_names)) for made in STAGES]
-        self._taxels = [stage for stage in stages if stage is not None]
+        self._stages = [make(config, len(taxel_names)) for make in STAGES]
         self._past = Past(config.history), Past(config.history)
         entries = [  # term and name of each
             (term, f"{TERMS[term].what} {entry}")
@@ -372,42 +383,34 @@ class Observer:
         """Return indices of the newest entries of these terms, if the hand has them, or "taxels"."""
         return np.flatnonzero(np.isin(self._term_of_entry, terms))
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: np.random.Generator) -> None:
         """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
-        self._sight.begin(sight)
+        self._sight.reset(sight)
         if self._joints is not None:
-            self._joints.begin(joints)
-        for stage in (*self._taxels, *self._past):
-            stage.begin(taxels)
+            self._joints.reset(joints)
+        for stage in (*self._stages, *self._past):
+            stage.reset(taxels)
 
     def observe(self, state: State, taxels: Array) -> Array:
-        """Return (n,) float32 from what is true and what the taxels feel; once a control step."""
+        """Return the observation (n,) float32 of a state and taxel readings; once a control step."""
         sensed = self._sight(state)
         if self._joints is not None:
             sensed = self._joints(sensed)
-        terms = np.concatenate(
-            [TERMS[term].read(self.hand, sensed) for term in self._terms]
-        )
-        for stage in self._taxels:
+        terms = [TERMS[term].read(self.hand, sensed) for term in self._terms]
+        for stage in self._stages:
             taxels = stage(taxels)
-        obs = self._past[0](terms), self._past[1](taxels)
+        obs = self._past[0](np.concatenate(terms)), self._past[1](taxels)
         return np.concatenate(obs, dtype=np.float32, casting="same_kind")
 
 
-STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
-    lambda config, n: (
-        FalseReadings(config.taxel_false_on, config.taxel_false_off)
-        if config.taxel_false_on or config.taxel_false_off
-        else None
+STAGES: list[Callable[[SensorConfig, int], Stage]] = [
+    lambda config, n: FalseReadings(config.taxel_false_on, config.taxel_false_off),
+    lambda config, n: Broken(
+        n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0
     ),
-    lambda config, n: (
-        Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
-        if config.taxel_dead or config.taxel_stuck
-        else None
-    ),
-    lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
+    lambda config, n: Delay(config.taxel_delay),
 ]
-"""Makers of the stages that the readings (n,) of taxels pass, each None where nobody asks for it:
-they flip at random, a broken sensor says the same whatever it feels, and all of it is late.
+"""Makers of the stages that the readings (n,) of taxels pass, one after another: bits flip at random,
+a broken sensor says the same whatever it feels, and all of it is late.
 """

@@ -5,14 +5,14 @@ The check of taxels, the pictures and the benchmarks use them when no policy sho
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from .grasp import JITTER_JOINT, GraspEnv
-from .hands import ARM, FINGERS, SLIDES, ScriptedGrasp
+from .hands import ARM, FINGERS, ScriptedGrasp
 from .objects import OFFSET, YAW
 from .state import Array
 
@@ -31,23 +31,20 @@ class Offsets(NamedTuple):
     yaw: float = 0.0
     """Turn of the object, rad."""
     joints: Array | float = 0.0
-    """(n_joints,) rad; the slides' are zero."""
+    """Offsets of the joints (n_joints,), rad; the slides' are zero."""
 
 
-def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
-    """Draw offsets as the environment's jitter would make them, but for the joints' ranges."""
-    joints = np.zeros(n_joints)
-    fingers = joints[len(SLIDES) :]
+def perturbed_start(env: GraspEnv, seed: int, number: int) -> Offsets:
+    """Draw offsets as the environment's jitter would make them, but for the joints' ranges.
+
+    Start `number` of a `seed` is always the same.
+    """
+    rng = np.random.default_rng([seed, number])
+    joints = np.zeros(len(env.hand.joints))
+    fingers = joints[FINGERS]
     fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
     place = rng.uniform(-OFFSET, OFFSET, 2)
     return Offsets(place, float(rng.uniform(-YAW, YAW)), joints)
-
-
-def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Offsets]:
-    """Yield `n` starts; each follows from `seed` and its number alone."""
-    for index in range(n):
-        rng = np.random.default_rng([seed, index])
-        yield perturbed_start(rng, len(env.hand.joints))
 
 
 def hold_steps(
@@ -59,7 +56,7 @@ def hold_steps(
 ) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator, and yield whether the object is still up.
 
-    It yields once per control step of the hold. The environment's own episode is not involved.
+    It yields once every `dt` s of the hold. The environment's own episode is not involved.
     """
     simulator = env.simulator
     dt = dt or period(env.config.timestep)
@@ -68,7 +65,7 @@ def hold_steps(
     position[:2] += start.place
     simulator.reset(env.hand.start_positions() + start.joints, position, start.yaw)
     env.taxel_readings()  # where nothing touches, so that no taxel fires any more
-    for targets in ramps(env, grasp, dt):
+    for targets in chain(*legs(env, grasp, dt)):
         simulator.step(targets, n_substeps)
     floor = simulator.state().object_position[2] - FALLEN
     for _ in range(round(seconds / dt)):
@@ -78,14 +75,9 @@ def hold_steps(
 
 
 def period(timestep: float) -> float:
-    """Time between the targets of a grasp in a scene with this timestep, s."""
-    whole = (dt for dt in PERIODS if abs(dt / timestep - round(dt / timestep)) < 1e-6)
-    return next(whole, PERIODS[0])
-
-
-def ramps(env: GraspEnv, grasp: ScriptedGrasp, dt: float) -> Iterator[Array]:
-    """Yield joint targets (n_actuators,) every `dt` s, until the lifted hand is where it stays."""
-    yield from itertools.chain(*legs(env, grasp, dt))
+    """Return the time between the targets of a grasp in a scene with this timestep, s."""
+    whole = [dt for dt in PERIODS if abs(dt / timestep - round(dt / timestep)) < 1e-6]
+    return (whole or PERIODS)[0]
 
 
 def legs(
@@ -114,9 +106,11 @@ def legs(
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     """Return the hand's scripted grasp nearest to the width of the environment's object.
 
-    ValueError where its file has none.
+    Raise ValueError where its file has none.
     """
     if not env.hand.grasps:
         advice = "tactilerl env --env FILE --check finds one"
         raise ValueError(f"hand {env.hand.name}: has no [[grasp]]; {advice}")
-    return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))
+    return min(
+        env.hand.grasps, key=lambda grasp: abs(grasp.object_size - env.shape.width)
+    )

@@ -1,16 +1,15 @@
 """Hold what is true at one moment.
 
-A simulator is asked once per control step; touch, senses, tasks, rewards and pictures are functions
-of what it says, and of nothing else.
+A simulator is read once per control step; touch, senses, tasks, rewards and pictures are functions
+of its state, and of nothing else.
 
-World frame, z up, ground at 0; SI units, quaternions wxyz. Arrays may have leading axes (...), of many
-moments or many worlds.
+World frame, z up, ground at 0; SI units, quaternions wxyz.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, NamedTuple, get_args
 
@@ -36,6 +35,7 @@ class Shape:
 
     @property
     def height(self) -> float:
+        """Height, m."""
         return 2 * self.half_size[2]
 
     @property
@@ -46,113 +46,95 @@ class Shape:
         return factor[self.kind] * x * y * z
 
     def squared_distance(self, points: Array) -> Array:
-        """Return the squared distance (...) in m² from points (..., 3) to the solid, 0 inside."""
+        """Return the squared distances (n,) in m² from points (n, 3) to the solid, 0 inside."""
         if self.kind == "sphere":
-            return np.square(
-                np.maximum(np.linalg.norm(points, axis=-1) - self.half_size[0], 0.0)
-            )
-        if self.kind == "cylinder":
-            points = np.stack(
-                [np.hypot(points[..., 0], points[..., 1]), points[..., 2]], axis=-1
-            )
+            from_centre = np.linalg.norm(points, axis=-1)
+            return np.square(np.maximum(from_centre - self.half_size[0], 0.0))
+        if self.kind == "cylinder":  # (radius, height)
+            radii = np.hypot(points[:, 0], points[:, 1])
+            points = np.stack([radii, points[:, 2]], axis=-1)
         beyond = np.abs(points)
         beyond -= self.half_size[-points.shape[-1] :]
         np.maximum(beyond, 0.0, out=beyond)
-        return np.einsum("...i,...i->...", beyond, beyond)
+        return np.einsum("ni,ni->n", beyond, beyond)
 
-    def half_height(self, rotation: Array) -> Array:
-        """Return how far (...) the shape, turned by `rotation` (..., 3, 3), reaches below its centre.
-
-        The distance is in m.
-        """
+    def half_height(self, rotation: Array) -> float:
+        """Return how far the shape, turned by `rotation` (3, 3), reaches below its centre, m."""
         x, _, z = self.half_size
         if self.kind == "sphere":
-            return np.full(rotation.shape[:-2], x)
+            return x
         if self.kind == "cylinder":
-            upright = np.abs(rotation[..., 2, 2])
-            return np.asarray(
-                z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2))
-            )
-        return np.asarray(np.abs(rotation[..., 2, :]) @ self.half_size)
+            upright = np.abs(rotation[2, 2])
+            return float(z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2)))
+        return float(np.abs(rotation[2]) @ self.half_size)
 
 
 class Contacts(NamedTuple):
-    """Hold the contacts (k of them) at which the hand presses on the object."""
+    """Contacts (k of them) at which the hand presses on the object."""
 
     points: Array
-    """(k, 3), m."""
+    """Places of the contacts (k, 3), m."""
     links: Array
-    """(k,) int, of the state's ``links``."""
+    """Index (k,) of each contact's link in the state's ``links``."""
     forces: Array
-    """(k,) normal force, above 0, N."""
+    """Normal forces (k,), above 0, N."""
     normals: Array
-    """(k, 3) unit, from the hand into the object."""
-
-
-def _nothing() -> Array:
-    return np.zeros(0)
-
-
-NO_CONTACTS = Contacts(
-    np.zeros((0, 3)), np.zeros(0, int), np.zeros(0), np.zeros((0, 3))
-)
+    """Unit normals (k, 3), from the hand into the object."""
 
 
 @dataclass(frozen=True)
 class State:
-    """A hand and an object. What was not recorded is empty."""
+    """A hand and an object at one moment."""
 
     shape: Shape
     """Shape of the object."""
     object_position: Array
-    """(..., 3) of the object's centre, m."""
+    """Centre of the object (3,), m."""
     object_rotation: Array
-    """(..., 3, 3)"""
+    """Rotation matrix of the object (3, 3)."""
+    object_orientation: Array
+    """Orientation of the object as a quaternion (4,), wxyz."""
+    object_velocity: Array
+    """Velocity of the object's centre (3,), m/s."""
+    object_angular_velocity: Array
+    """Angular velocity of the object (3,), rad/s."""
     links: tuple[str, ...]
     """Names of the hand's bodies."""
     link_positions: Array
-    """(..., n_links, 3)"""
+    """Positions of the links (n_links, 3), m."""
     link_rotations: Array
-    """(..., n_links, 3, 3)"""
-    object_orientation: Array = field(default_factory=_nothing)
-    """(..., 4), the same orientation as a quaternion."""
-    object_velocity: Array = field(default_factory=_nothing)
-    """(..., 3) of its centre, m/s."""
-    object_angular_velocity: Array = field(default_factory=_nothing)
-    """(..., 3) rad/s."""
-    palm: Array = field(default_factory=_nothing)
-    """(..., 3) the palm point."""
-    fingertips: Array = field(default_factory=_nothing)
-    """(..., n_digits, 3)"""
-    joint_positions: Array = field(default_factory=_nothing)
-    """(..., n_joints) in the order of the hand's ``joints``, m and rad."""
-    joint_velocities: Array = field(default_factory=_nothing)
-    """(..., n_joints)"""
-    targets: Array = field(default_factory=_nothing)
-    """(..., n_actuators) the joint targets last asked for."""
-    contacts: Contacts = NO_CONTACTS
-    sensors: Array = field(default_factory=_nothing)
-    """(..., n) bool: do the sensors that the simulator itself has feel a contact?"""
+    """Rotation matrices of the links (n_links, 3, 3)."""
+    palm: Array
+    """Palm point (3,), m."""
+    fingertips: Array
+    """Tips of the digits (n_digits, 3), m."""
+    joint_positions: Array
+    """Joint positions (n_joints,) in the order of the hand's ``joints``, m and rad."""
+    joint_velocities: Array
+    """Joint velocities (n_joints,), m/s and rad/s."""
+    targets: Array
+    """Latest joint targets (n_actuators,), m and rad."""
+    contacts: Contacts
+    """Contacts at which the hand presses on the object."""
+    sensors: Array
+    """Readings of the simulator's own sensors, bool (n,): True where one feels a contact."""
 
     def poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
-        """Return positions (..., k, 3) and rotations (..., k, 3, 3) of some links.
+        """Return positions (k, 3) and rotations (k, 3, 3) of links.
 
-        ValueError for a name that none has.
+        Raise ValueError for a name that no link has.
         """
-        at = places(self.links, links)
-        return self.link_positions.take(at, axis=-2), self.link_rotations.take(
-            at, axis=-3
-        )
+        indices = places(self.links, links)
+        return self.link_positions[indices], self.link_rotations[indices]
 
     @property
-    def clearance(self) -> Array:
-        """Height (...) of the object's lowest point over the ground, m."""
-        return self.object_position[..., 2] - self.shape.half_height(
-            self.object_rotation
-        )
+    def clearance(self) -> float:
+        """Height of the object's lowest point over the ground, m."""
+        lowest = self.shape.half_height(self.object_rotation)
+        return float(self.object_position[2]) - lowest
 
 
 @lru_cache(maxsize=1024)
-def places(links: tuple[str, ...], some: tuple[str, ...]) -> Array:
-    """Return where some links are among all; ValueError for a name that none has."""
-    return np.array([links.index(link) for link in some], int)
+def places(all_links: tuple[str, ...], links: tuple[str, ...]) -> Array:
+    """Return the index of each of `links` among all; raise ValueError for a name that is not there."""
+    return np.array([all_links.index(link) for link in links], int)

@@ -1,8 +1,8 @@
 """Define the two tasks of the paper, and handover: start, giver, goal, reward, success.
 
-A task owns all of that, its thresholds and its hold test; the environment calls it before and after
-each action. Rewards are pure functions of the achieved and the desired goal, so that hindsight
-relabelling can recompute them.
+A task owns all of that, its thresholds and its hold test. The environment calls `start` and `reset`
+when an episode begins, then `before_step` and `after_step` around each action. Rewards are pure functions of
+the achieved and the desired goal, so that hindsight relabelling can recompute them.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Start(NamedTuple):
 
 
 class Task(ABC):
-    """Set goals, rewards and verdicts of one environment's episodes.
+    """Goals, rewards and verdicts of one environment's episodes.
 
     Unless it says otherwise, the object lies on the ground, and nobody but the hand moves it.
     """
@@ -103,26 +103,24 @@ class Task(ABC):
     goal_size: int
     """Length of achieved and desired goals."""
     only_goal: Array | None = None
-    """The goal (goal_size,) of every episode, where no other is ever asked for or could be."""
-    config: TaskConfig
-    first: Shape
-    hold: HoldTest
+    """Desired goal (goal_size,) of every episode; None where they differ."""
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
         """Raise ValueError naming a field that does not go together with others in this task."""
 
     def __init__(
-        self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
+        self, config: TaskConfig, hand: Hand, hand_timestep: float, first: Shape
     ) -> None:
         """Make the task for a hand and a scene.
 
-        `own_timestep` is the hand's own, s; `first` is the shape of the scene's first object.
+        `hand_timestep` is that of the hand's usual set-up, s; `first` is the shape of the scene's first
+        object.
         """
         self.config, self.first = config, first
         self.hold = HoldTest(
             config.hold_seconds,
-            LOOK_STEPS * own_timestep,
+            LOOK_STEPS * hand_timestep,
             config.hold_verdict,
             out_of_reach=max(OUT_OF_REACH, hand.reach + BEYOND_REACH),
         )
@@ -130,7 +128,7 @@ class Task(ABC):
     def start(
         self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
     ) -> Start:
-        """Return how an episode begins.
+        """Return the start of an episode.
 
         Usually the hand is open above an object on the ground, both a little moved. `palm` (3,) is a
         place on the palm's skin, at the bases of the fingers.
@@ -138,7 +136,7 @@ class Task(ABC):
         return usual
 
     @abstractmethod
-    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return (achieved, desired goal) of a new episode, each (goal_size,)."""
 
     def before_step(self, simulator: Simulator, step: int) -> None:
@@ -146,7 +144,7 @@ class Task(ABC):
 
     @abstractmethod
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
-        """Return what was achieved (goal_size,) with an action, and True if the episode ends here.
+        """Return the goal achieved (goal_size,) with an action, and True if the episode ends here.
 
         `is_last` says that it is the episode's last action; the end is by the task's own rules.
         """
@@ -156,12 +154,12 @@ class Task(ABC):
         return False
 
     def after_hold(self, state: State, is_held: bool) -> Array:
-        """Return what was achieved (goal_size,) in an episode that a hold test has ended."""
+        """Return the goal achieved (goal_size,) in an episode that a hold test has ended."""
         raise NotImplementedError
 
     @abstractmethod
-    def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """Return rewards (...) from goals (..., goal_size)."""
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
+        """Return rewards (...) of goals (..., goal_size)."""
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Tell where goals (...) are reached: usually, where the achieved one ends in "held"."""
@@ -178,22 +176,24 @@ class ReachGoal(Task):
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
+        """Raise ValueError where goals may lie in the ground."""
         if not 0 <= config.goal_range <= config.goal_height:
+            found = f"found {config.goal_range} m"
             allowed = f"from 0 to goal_height, {config.goal_height:g} m"
-            raise ValueError(
-                f"goal_range: found {config.goal_range} m, allowed {allowed}"
-            )
+            raise ValueError(f"goal_range: {found}, allowed {allowed}")
 
-    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw the goal above where the first object rests."""
         goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
-        if furthest := self.config.goal_range:
-            goal += rng.uniform(-furthest, furthest, 3)
+        if self.config.goal_range:
+            goal += rng.uniform(-self.config.goal_range, self.config.goal_range, 3)
         return state.object_position, goal
 
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+        """Return the object's place; the episode goes on until its last action."""
         return state.object_position, False
 
-    def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return 0 within the tolerance, else -1 (sparse), or -10 x distance in m (dense).
 
         Both readings of the paper exist in the code it builds on (Plappert et al. 2018).
@@ -203,11 +203,12 @@ class ReachGoal(Task):
         return self.is_success(achieved_goal, desired_goal) - 1.0
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
+        """Tell where the object is within the tolerance of the goal."""
         return _distance(achieved_goal, desired_goal) <= self.config.goal_tolerance
 
 
 Outcome = Literal["undecided", "fell_back", "dropped", "held", "timed_out", "missed"]
-# How the outcome of a step of lift-and-hold or handover stands at the end of its achieved goal.
+# The number at the end of an achieved goal of lift-and-hold and handover, by the outcome of the step.
 OUTCOMES: dict[Outcome, float] = {
     "timed_out": -1.0,
     "missed": -0.5,
@@ -234,37 +235,42 @@ class LiftAndHold(Task):
     """alpha of the paper's reward."""
 
     def __init__(
-        self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
+        self, config: TaskConfig, hand: Hand, hand_timestep: float, first: Shape
     ) -> None:
-        super().__init__(config, hand, own_timestep, first)
+        """Make the task as `Task` does; the goal's size depends on the hand's digits."""
+        super().__init__(config, hand, hand_timestep, first)
+        self.goal_size = 1 + len(hand.fingertips) + 1
         self.only_goal: Array = np.append(
-            np.zeros(1 + len(hand.fingertips)), OUTCOMES["held"]
+            np.zeros(self.goal_size - 1), OUTCOMES["held"]
         )
-        self.goal_size = len(self.only_goal)
 
-    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return the goals of an episode in which nothing has been lifted yet."""
         self._is_off_ground = False
         return self._achieved(state, "undecided"), self.only_goal
 
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
-        was_off = self._is_off_ground
-        self._is_off_ground = bool(state.clearance > OFF_GROUND)
+        """Return the distances and the outcome; too late a lift ends the episode with a verdict."""
+        was_off_ground = self._is_off_ground
+        self._is_off_ground = state.clearance > OFF_GROUND
         if is_last and not self.is_hold_due(state):
-            return self._achieved(state, "timed_out"), True  # a verdict, with its -100
-        has_fallen = was_off and not self._is_off_ground
+            return self._achieved(state, "timed_out"), True
+        has_fallen = was_off_ground and not self._is_off_ground
         return self._achieved(state, "fell_back" if has_fallen else "undecided"), False
 
     def is_hold_due(self, state: State) -> bool:
-        return bool(state.clearance > self.config.lift_clearance)
+        """Tell whether the object is lifted."""
+        return state.clearance > self.config.lift_clearance
 
     def after_hold(self, state: State, is_held: bool) -> Array:
+        """Return the distances and whether the object was held or dropped."""
         return self._achieved(state, "held" if is_held else "dropped")
 
     def _achieved(self, state: State, outcome: Outcome) -> Array:
         points = np.vstack([state.palm, state.fingertips])
         return np.append(_distance(points, state.object_position), OUTCOMES[outcome])
 
-    def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return the closeness of palm and fingertips until a lift, as the paper does.
 
         5 more for a failed attempt, whether the object fell back before it was lifted or was dropped
@@ -274,8 +280,14 @@ class LiftAndHold(Task):
         closeness = np.exp(-(np.asarray(achieved_goal)[..., :-1] ** 2))
         near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
         failed = near + 5.0
-        rewards = {"fell_back": failed, "dropped": failed, "timed_out": -100.0}
-        return _by_outcome(achieved_goal, near, **rewards, held=1000.0)
+        return _by_outcome(
+            achieved_goal,
+            near,
+            fell_back=failed,
+            dropped=failed,
+            timed_out=-100.0,
+            held=1000.0,
+        )
 
 
 class Handover(Task):
@@ -292,7 +304,7 @@ class Handover(Task):
     rise = 0.2
     giver: Giver = Giver()
     goal_size = 1
-    only_goal: Array = np.array([OUTCOMES["held"]])
+    only_goal = np.array([OUTCOMES["held"]])
     below: ClassVar[float] = 0.12
     """Distance below the palm at which the object waits, m."""
     waits: ClassVar[tuple[int, int]] = (5, 35)
@@ -324,30 +336,34 @@ class Handover(Task):
             raise ValueError(f"control_dt: found {dt} s, allowed {allowed}")
 
     def __init__(
-        self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
+        self, config: TaskConfig, hand: Hand, hand_timestep: float, first: Shape
     ) -> None:
-        super().__init__(config, hand, own_timestep, first)
+        """Make the task as `Task` does, with a giver that may press as hard as the scene says."""
+        super().__init__(config, hand, hand_timestep, first)
         self.beyond = config.giver_force / self.giver.stiffness
         """Distance beyond contact to which the giver wants to move the object, m."""
-        most = max(self.giver.force, config.giver_force)
-        self.giver = replace(self.giver, force=most)
+        force = max(self.giver.force, config.giver_force)
+        self.giver = replace(self.giver, force=force)
         self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)
 
     def start(
         self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
     ) -> Start:
+        """Return a start with the object below the place where it will touch the hand."""
         x, y, _ = usual.position  # fingers point along -y
         nearest, furthest = bounds("handover_reach", self.config.handover_reach)
         reach = rng.uniform(nearest, furthest) if nearest < furthest else nearest
         under = [x, y - reach, -shape.half_size[2] - self.below]
         return usual._replace(position=palm + np.array(under))
 
-    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw when the giver sets off."""
         self.sets_off = int(rng.integers(*self.waits, endpoint=True))
         self._wait = state.object_position
         return _outcome("undecided"), self.only_goal
 
     def before_step(self, simulator: Simulator, step: int) -> None:
+        """Let the giver wait, set off or let go."""
         self._step = step
         if step == 0:
             simulator.carry(self._wait)
@@ -357,15 +373,18 @@ class Handover(Task):
             simulator.let_go()
 
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+        """Return the outcome: missed where the object fell after the giver let go."""
         is_far = _distance(state.palm, state.object_position) > self.fallen
         if self._since_letting_go >= 0 and is_far:
             return _outcome("missed"), True
         return _outcome("undecided"), False
 
     def is_hold_due(self, state: State) -> bool:
+        """Tell whether the giver let go long enough ago."""
         return self._since_letting_go >= self.settles
 
     def after_hold(self, state: State, is_held: bool) -> Array:
+        """Return the outcome: held or missed."""
         return _outcome("held" if is_held else "missed")
 
     @property
@@ -373,7 +392,7 @@ class Handover(Task):
         """Number of actions since the giver let go."""
         return self._step - self.sets_off - self.stays
 
-    def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return 1000 for an object that is held in the end, -100 for one that is missed."""
         return _by_outcome(achieved_goal, 0.0, missed=-100.0, held=1000.0)
 
@@ -383,12 +402,11 @@ def _outcome(name: Outcome) -> Array:
     return np.array([OUTCOMES[name]])
 
 
-def _by_outcome(goals: Array, reward: Any, **rewards: Any) -> Array:
-    """Return the rewards (...) of goals (..., n) that end in an outcome: those named, or `reward`."""
-    for name, value in rewards.items():
-        is_so = np.asarray(goals)[..., -1] == OUTCOMES[name]  # type: ignore[index]
-        reward = np.where(is_so, value, reward)
-    return reward
+def _by_outcome(goals: Array, otherwise: Any, **rewards: Any) -> Array:
+    """Return the rewards (...) of goals (..., n) by the outcomes they end in, or `otherwise`."""
+    outcomes = np.asarray(goals)[..., -1]
+    conditions = [outcomes == OUTCOMES[name] for name in rewards]  # type: ignore[index]
+    return np.select(conditions, [*rewards.values()], otherwise)
 
 
 def _distance(a: Any, b: Any) -> Array:

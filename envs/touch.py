@@ -1,4 +1,4 @@
-"""Compute what taxels feel, by the touch rules.
+"""Compute the readings of taxels, by the touch rules.
 
 Rule "skin": a taxel is on when its sensing sphere overlaps the object and the skin that carries
 it is no further than `SKIN` from the object. A rigid capsule meets a flat face in one or two
@@ -45,7 +45,7 @@ class LinkPoints:
     """Points that ride on links; where they are follows from the links' poses in one product.
 
     Row i of the blocks (n, 4k) holds point i's homogeneous coordinates in the four columns of its
-    link; the poses stack to (4k, 3). Poses and points may have leading batch axes (...).
+    link; the poses stack to (4k, 3).
     """
 
     def __init__(
@@ -60,22 +60,20 @@ class LinkPoints:
         self._blocks = blocks.reshape(n, 4 * k)
 
     def world(self, state: State) -> Array:
-        """Return the points in the world's frame, (..., n, 3), m."""
+        """Return the points in the world's frame, (n, 3), m."""
         return self._blocks @ _stacked(*state.poses(self.links))
 
     def local(self, state: State) -> Array:
-        """Return the points in the object's frame, (..., n, 3), m."""
+        """Return the points in the object's frame, (n, 3), m."""
         positions, rotations = state.poses(self.links)
-        from_object = positions - state.object_position[..., None, :]
-        return self._blocks @ (_stacked(from_object, rotations) @ state.object_rotation)
+        from_object = _stacked(positions - state.object_position, rotations)
+        return self._blocks @ (from_object @ state.object_rotation)
 
 
 def _stacked(positions: Array, rotations: Array) -> Array:
-    """Return poses (..., k, 3), (..., k, 3, 3) as the factor (..., 4k, 3) of `LinkPoints`."""
-    poses = np.concatenate(
-        [rotations.swapaxes(-1, -2), positions[..., None, :]], axis=-2
-    )
-    return poses.reshape(*positions.shape[:-2], -1, 3)
+    """Return poses (k, 3), (k, 3, 3) as the factor (4k, 3) of `LinkPoints`."""
+    poses = [rotations.swapaxes(1, 2), positions[:, None]]
+    return np.concatenate(poses, axis=1).reshape(-1, 3)
 
 
 def taxel_points(taxels: Taxels) -> LinkPoints:
@@ -101,16 +99,16 @@ class Rule(ABC):
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         """Prepare the rule for these taxels on this hand."""
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Forget the last episode."""
 
     @abstractmethod
     def read(self, state: State) -> Array:
-        """Return what the taxels feel, (..., n_taxels)."""
+        """Return the readings of the taxels, (n_taxels,)."""
 
 
 class SkinTouch(Rule):
-    """Rule "skin" for the taxels of one layout on one hand. It keeps nothing of what it reads.
+    """Rule "skin" for the taxels of one layout on one hand. It remembers no reading.
 
     The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of the object when
     one of many points along the bone is within radius + `SKIN`. The skin of a taxel on a flat palm is
@@ -120,84 +118,84 @@ class SkinTouch(Rule):
     """
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        self.links, surfaces = taxels.links, hand.surfaces
-        is_shaped = any(surfaces[index].geoms for index in taxels.surfaces)
-        self._shaped = _Shaped(taxels, surfaces) if is_shaped else None
-        bones: list[tuple[int, Array, float]] = []  # link, points (m, 3), reach
-        bone_of_link: dict[int, int] = {}
-        bone = np.arange(len(taxels))  # of each taxel
-        places = zip(
-            taxels.link_index.tolist(), taxels.positions, taxels.radii, strict=True
-        )
-        for taxel, (link, position, radius) in enumerate(places):
-            carrier = surfaces[taxels.surfaces[taxel]]
-            bone[taxel] = bone_of_link.get(link, len(bones))
-            if bone[taxel] < len(bones):
+        """Find the bone of each taxel, which taxels on one phalanx share."""
+        surfaces = [hand.surfaces[index] for index in taxels.surfaces]
+        self._shaped = _Shaped(taxels, surfaces)
+        bones: dict[int | str, tuple[Array, float]] = {}  # points (m, 3), reach
+        links, keys = [], []
+        for taxel, surface in enumerate(surfaces):
+            is_shared = surface.bone is not None and not surface.geoms
+            keys.append(surface.link if is_shared else taxel)
+            if keys[-1] in bones:
                 continue
-            if carrier.geoms:
-                bones.append((link, position[None], radius))  # what it says is not all
-            elif carrier.bone is None:
-                bones.append((link, *_cap(position, radius, taxels.normals[taxel])))
+            position, radius = taxels.positions[taxel], taxels.radii[taxel]
+            if is_shared:
+                bone = _along(surface)
+            elif surface.geoms:
+                bone = position[None], radius  # `_Shaped` looks closer
             else:
-                bones.append((link, *_along(carrier)))
-                bone_of_link[link] = int(bone[taxel])
-        sizes = [len(points) for _, points, _ in bones]
-        self._bone, self._first = bone, np.cumsum([0, *sizes[:-1]])
-        on_links, along, reaches = zip(*bones, strict=True)
-        links = np.concatenate([taxels.link_index, np.repeat(on_links, sizes)])
-        points = np.concatenate([taxels.positions, *along])
-        self._points = LinkPoints(taxels.links, links, points)
+                bone = _cap(position, radius, taxels.normals[taxel])
+            bones[keys[-1]] = bone
+            links.append(taxels.link_index[taxel])
+        self._bone = [list(bones).index(key) for key in keys]
+        points, reaches = zip(*bones.values(), strict=True)
+        sizes = [len(along) for along in points]
+        self._first = np.cumsum([0, *sizes[:-1]])
+        self._points = LinkPoints(
+            taxels.links,
+            np.concatenate([taxels.link_index, np.repeat(links, sizes)]),
+            np.concatenate([taxels.positions, *points]),
+        )
         reaches = np.concatenate([taxels.radii, np.repeat(reaches, sizes)])
         self._squared_reaches = reaches**2
 
     def read(self, state: State) -> Array:
+        """Return which taxels are on, bool (n_taxels,)."""
         distances = state.shape.squared_distance(self._points.local(state))
         in_reach = distances <= self._squared_reaches
         n = len(self._bone)
-        touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
-        is_on = in_reach[..., :n] & touches[..., self._bone]
-        if self._shaped is not None:
-            self._shaped.correct(is_on, state, *state.poses(self.links))
+        touches = np.logical_or.reduceat(in_reach[n:], self._first)
+        is_on = in_reach[:n] & touches[self._bone]
+        self._shaped.correct(is_on, state)
         return is_on
 
 
 class _Shaped:
     """The taxels whose links are neither one capsule nor flat."""
 
-    def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
+    def __init__(self, taxels: Taxels, surfaces: list[Surface]) -> None:
+        """Find the geom that is nearest to each taxel, among those of its surface."""
+        geoms: list[Geom] = []
+        geoms_of_link: dict[str, list[int]] = {}
+        for surface in surfaces:
+            if surface.geoms and surface.link not in geoms_of_link:
+                end = len(geoms) + len(surface.geoms)
+                geoms_of_link[surface.link] = list(range(len(geoms), end))
+                geoms += surface.geoms
+        self._taxels = taxels
+        self._taxels_of_geom: dict[int, list[int]] = {}
+        if not geoms:
+            return
         from .hands.geometry import Distances  # imports MuJoCo
 
-        geoms: list[Geom] = []
-        first: dict[str, range] = {}
-        carried: dict[int, list[int]] = {}
-        carriers = [surfaces[index] for index in taxels.surfaces.tolist()]
-        for surface in carriers:
-            if surface.geoms and surface.link not in first:
-                first[surface.link] = range(len(geoms), len(geoms) + len(surface.geoms))
-                geoms += surface.geoms
         self._geoms = Distances(geoms)
-        for taxel, surface in enumerate(carriers):
+        for taxel, surface in enumerate(surfaces):
             if surface.geoms:
-                own = list(first[surface.link])
-                nearest, _ = self._geoms.nearest(own, taxels.positions[taxel])
-                carried.setdefault(nearest, []).append(taxel)
-        self._links = {
-            geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()
-        }
-        self._taxels = {geom: np.array(some) for geom, some in carried.items()}
+                candidates = geoms_of_link[surface.link]
+                geom, _ = self._geoms.nearest(candidates, taxels.positions[taxel])
+                self._taxels_of_geom.setdefault(geom, []).append(taxel)
 
-    def correct(
-        self, is_on: Array, state: State, positions: Array, rotations: Array
-    ) -> None:
-        """Turn off in `is_on` (..., n) what is on links that do not touch."""
-        for geom, taxels in self._taxels.items():
-            link = self._links[geom]
-            for at in np.argwhere(is_on[..., taxels].any(axis=-1)):
-                where = tuple(at)
-                pose = positions[(*where, link)], rotations[(*where, link)]
-                place = state.object_position[where], state.object_rotation[where]
-                if not self._geoms.within(geom, *pose, state.shape, *place, SKIN):
-                    is_on[(*where, taxels)] = False
+    def correct(self, is_on: Array, state: State) -> None:
+        """Turn off in `is_on` (n,) the taxels on geoms that do not touch the object."""
+        positions, rotations = state.poses(self._taxels.links)
+        place = state.object_position, state.object_rotation
+        for geom, taxels in self._taxels_of_geom.items():
+            link = self._taxels.link_index[taxels[0]]
+            pose = positions[link], rotations[link]
+            if is_on[taxels].any() and not self._geoms.within(
+                geom, *pose, state.shape, *place, SKIN
+            ):
+                is_on[taxels] = False
 
 
 def _along(phalanx: Surface) -> tuple[Array, float]:
@@ -226,9 +224,10 @@ class ContactRule(Rule):
     by_sensors = True
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        pass
+        """Do nothing: the simulator has a sensor for each taxel."""
 
     def read(self, state: State) -> Array:
+        """Return which sensors feel a contact, bool (n_taxels,)."""
         return state.sensors
 
 
@@ -238,10 +237,12 @@ class ForceRule(SkinTouch):
     is_boolean = False
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        """Prepare the rule "skin" and the taxels' centres."""
         super().__init__(taxels, hand)
         self._taxels, self._centres = taxels, taxel_points(taxels)
 
     def read(self, state: State) -> Array:
+        """Return the force on each taxel, N (n_taxels,)."""
         is_on, forces = self.feel(state)
         return np.where(is_on, forces, 0.0)
 
@@ -280,13 +281,14 @@ class ThresholdTouch(ForceRule):
         """Take the forces (n,) in N at which each taxel begins to fire, and below which it stops."""
         super().__init__(taxels, hand)
         self._thresholds, self._releases = thresholds, releases
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
+    def reset(self) -> None:
+        """Forget which taxels fired."""
         self._fires = np.zeros(len(self._taxels), bool)
 
     def read(self, state: State) -> Array:
-        """Return which taxels fire, bool (n,); to ask again at the same moment changes nothing."""
+        """Return which taxels fire, bool (n,); a second call at the same moment changes nothing."""
         is_on, forces = self.feel(state)
         needed = np.where(self._fires, self._releases, self._thresholds)
         self._fires = is_on & (forces >= needed)
@@ -310,7 +312,7 @@ def make(
     """Return the rule of a name for some taxels.
 
     They fire from `threshold` N up (None: from their own) and stop below `release` N (None: `RELEASE`
-    of the threshold). ValueError for a threshold with a rule that reads no force of its own.
+    of the threshold). Raise ValueError for a threshold with a rule that reads no force of its own.
     """
     thresholds = taxels.thresholds
     if threshold is not None:

@@ -21,6 +21,7 @@ class Toy(gym.Env[Any, Array]):
     _place: Array
 
     def __init__(self, render_mode: str | None = None) -> None:
+        """Make the toy; with `render_mode` "rgb_array", `render` returns pictures."""
         self.render_mode = render_mode
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.n_actions,), np.float32)
         self.observation_space: gym.Space[Any] = BOX
@@ -55,11 +56,13 @@ class LQREnv(Toy):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
+        """Draw a start, and return it as the observation, and an empty info."""
         super().reset(seed=seed)
         self._place, self._steps = self.np_random.uniform(-self.start, self.start, 2), 0
         return self._place.astype(np.float32), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Apply a force (1,)."""
         force = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         cost = self._place @ self.Q @ self._place + force @ self.R @ force
         self._place = self.A @ self._place + self.B @ force
@@ -68,21 +71,14 @@ class LQREnv(Toy):
         return self._place.astype(np.float32), -float(cost), False, is_over, {}
 
     @classmethod
-    def riccati(cls) -> list[tuple[Array, Array]]:
-        """(cost-to-go matrix (2, 2), gain (1, 2)) at each step: the optimal force is -gain @ x."""
-        cost, solution = np.zeros((2, 2)), []
-        for _ in range(cls.max_episode_steps):
-            gain = np.linalg.solve(
-                cls.R + cls.B.T @ cost @ cls.B, cls.B.T @ cost @ cls.A
-            )
-            cost = cls.Q + cls.A.T @ cost @ (cls.A - cls.B @ gain)
-            solution.append((cost, gain))
-        return solution[::-1]
-
-    @classmethod
     def optimal_return(cls, state: Array) -> float:
-        """Return of the optimal policy from `state` (2,)."""
-        return -float(state @ cls.riccati()[0][0] @ state)
+        """Return what the optimal policy earns from `state` (2,), by the Riccati recursion."""
+        cost = np.zeros((2, 2))  # to go: the least cost from x is x' cost x
+        for _ in range(cls.max_episode_steps):
+            effort = cls.R + cls.B.T @ cost @ cls.B
+            gain = np.linalg.solve(effort, cls.B.T @ cost @ cls.A)
+            cost = cls.Q + cls.A.T @ cost @ (cls.A - cls.B @ gain)
+        return -float(state @ cost @ state)
 
 
 class PointReachEnv(Toy):
@@ -97,6 +93,7 @@ class PointReachEnv(Toy):
     max_episode_steps = 25
 
     def __init__(self, render_mode: str | None = None) -> None:
+        """Make the toy with the spaces of a goal environment."""
         super().__init__(render_mode)
         goals = {"achieved_goal": BOX, "desired_goal": BOX}
         self.observation_space = gym.spaces.Dict({"observation": BOX, **goals})
@@ -104,6 +101,7 @@ class PointReachEnv(Toy):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Draw the point's place and its goal."""
         super().reset(seed=seed)
         self._place, self._goal = self.np_random.uniform(-1.0, 1.0, (2, 2))
         self._steps = 0
@@ -112,6 +110,7 @@ class PointReachEnv(Toy):
     def step(
         self, action: Array
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """Move the point by an action (2,)."""
         move = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         self._place = self._place + self.speed * move
         self._steps += 1
@@ -124,7 +123,7 @@ class PointReachEnv(Toy):
     def compute_reward(
         self, achieved_goal: Array, desired_goal: Array, info: Any
     ) -> Array:
-        """Rewards (...) of goals (..., 2)."""
+        """Return the rewards (...) of goals (..., 2)."""
         distance = np.linalg.norm(
             np.asarray(achieved_goal) - np.asarray(desired_goal), axis=-1
         )

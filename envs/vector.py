@@ -56,6 +56,7 @@ class Workers:
         ]
 
     def __len__(self) -> int:
+        """Return the number of workers."""
         return len(self._players)
 
     @property
@@ -120,6 +121,7 @@ class Workers:
             is_over.set()
 
     def close(self) -> None:
+        """Close all environments."""
         self._opened.close()
 
 
@@ -127,9 +129,11 @@ class LocalPlayer:
     """Plays in an environment of this process."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
+        """Take the environment."""
         self.env = env
 
     def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
+        """Return the result of a job."""
         return job(self.env, number, is_wanted)
 
 
@@ -146,6 +150,7 @@ class RemotePlayer:
     """
 
     def __init__(self, make: Make, set_up: Callable[[], Any]) -> None:
+        """Start the process, which answers when its environment is made."""
         # Never forks of this process, which would copy threads' locks and an MPI process's
         # connections. On Linux they are forks of a server that has imported what takes seconds, which
         # is Python's own default from 3.14 on.
@@ -168,6 +173,7 @@ class RemotePlayer:
         self._job: Any = None
 
     def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
+        """Return the result of a job, which is sent only where it differs from the last."""
         message, self._job = (None if job is self._job else job, number), None
         result: T = self.answer(message, is_wanted)
         self._job = job  # and not where it raised
@@ -194,6 +200,7 @@ class RemotePlayer:
         return answer
 
     def close(self) -> None:
+        """End the process."""
         self._connection.close()
         self._process.join()
 

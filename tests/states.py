@@ -1,7 +1,18 @@
-"""Comparing what learners save."""
+"""States of learners, to be compared; and states of a scene, to be looked at."""
+
+import dataclasses
 
 import numpy as np
 import torch
+from tactilerl.envs.state import Contacts, State
+
+NO_CONTACTS = Contacts(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0), np.zeros((0, 3)))
+
+
+def scene(**values):
+    """A state with these fields; all others are empty."""
+    empty = {field.name: np.zeros(0) for field in dataclasses.fields(State)}
+    return State(**{**empty, "contacts": NO_CONTACTS, **values})
 
 
 def flat(state):

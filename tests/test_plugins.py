@@ -30,7 +30,7 @@ class Numb(touch.ContactRule):
 class Half(tasks.Task):
     rewards = ("uncrushed",)
 
-    def begin(self, state, rng):
+    def reset(self, state, rng):
         return state.object_position, state.object_position
 
 class Own(tasks.ReachGoal):
@@ -40,7 +40,7 @@ class Odd(tasks.ReachGoal):
     max_episode_steps = "20"
 
 class Flat(tasks.ReachGoal):
-    def begin(self, state, rng):
+    def reset(self, state, rng):
         return state.object_position[:2], state.object_position
 
 class Broken(tasks.ReachGoal):
@@ -83,7 +83,8 @@ def test_a_module_adds_a_task_a_touch_rule_and_a_hand(theirs, capsys):
 
 
 def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
-    fails_with(capsys, [*theirs, "--task", "half"], "lacks after_step, max_episode_steps, reward")
+    lacks = "lacks after_step, compute_reward, max_episode_steps"
+    fails_with(capsys, [*theirs, "--task", "half"], lacks)
     fails_with(capsys, [*theirs, "--task", "no"], "found no subclass of Task")
     odd = "'odd' (Odd): max_episode_steps: found '20', allowed a whole number"
     fails_with(capsys, [*theirs, "--task", "odd"], odd)

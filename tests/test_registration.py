@@ -30,7 +30,7 @@ class Saturn(MujocoSimulator):
 class Inverted:
     """What was on is off."""
 
-    def begin(self, rng):
+    def reset(self, rng):
         pass
 
     def __call__(self, reading):

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ class ScriptedPolicy:
     def __init__(self, env: Any, rng: np.random.Generator) -> None:
         self.env, self.rng = env, rng
         grasp = scripted.grasp_for(env)
-        self.targets = list(scripted.ramps(env, grasp, env.config.control_dt))
+        self.targets = [*chain(*scripted.legs(env, grasp, env.config.control_dt))]
         size = env.action_space.shape[0]
         self.gentle = np.where(np.arange(size) == 2, GENTLE, 1.0)
         self.scale = rng.uniform(0.3, 1.0)

@@ -174,7 +174,8 @@ def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Trace:
     rows, dt = [], scripted.period(setup(hand).timestep)
     for size in SIZES[hand]:
         with environment(hand, simulator, size, setting) as env:
-            for start in scripted.perturbed_starts(env, SEED, grasps):
+            for number in range(grasps):
+                start = scripted.perturbed_start(env, SEED, number)
                 hold = scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS, dt)
                 before = env.simulator.warnings
                 *seen, held, overlaps, seconds = zip(*_watched(env, hold), strict=True)

@@ -24,7 +24,7 @@ LENGTHS = {"object_size", "start_offset", "handover_reach"}
 
 @dataclass(frozen=True)
 class NamedScene:
-    """Hold what a scene's file says."""
+    """Content of a scene's file."""
 
     about: str = ""
     """One sentence for people."""
@@ -40,17 +40,16 @@ class NamedScene:
     """The scene of the library that it says the differences from."""
 
     def on(self, hand: str) -> dict[str, Any]:
-        """Return `scene` for a hand: what is relative to the length of fingers in its own m."""
+        """Return `scene` for a hand, with the lengths of `scaled` in m for its fingers."""
         if hand == self.env or not self.scaled:
             return self.scene
         factor = hands.get(hand).finger_length / hands.get(self.env).finger_length
-        return self.scene | {
-            name: scaled(self.scene[name], factor) for name in self.scaled
-        }
+        lengths = {name: scaled(self.scene[name], factor) for name in self.scaled}
+        return self.scene | lengths
 
 
 def names() -> tuple[str, ...]:
-    """Scenes that can be asked for by name."""
+    """Return the names of the library's scenes."""
     return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
 
 
@@ -62,7 +61,7 @@ def gymnasium_id(name: str) -> str:
 def load(name: str) -> NamedScene:
     """Return a scene by name, or from a .toml file.
 
-    Raises ValueError naming what is wrong, and FileNotFoundError.
+    Raise ValueError naming what is wrong, and FileNotFoundError.
     """
     if not name.endswith(SUFFIX) and name not in names():
         raise ValueError(

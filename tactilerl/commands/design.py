@@ -17,6 +17,7 @@ from ..machine import free_cores
 from ..placement import files
 from ..placement.candidates import DesignFlags
 from ..placement.choice import Design, Row, design
+from ..scripted import gate
 from ..terminal import flags
 from ..terminal.console import console, progress
 
@@ -118,7 +119,8 @@ def _print(result: Design) -> None:
         table.add_row(*_cells(row, result))
     console.print(table)
     if flags_given.taxel_threshold:
-        console.print(_stops(result))
+        uses = {force or 0.0: use[:2] for force, use in result.uses.items()}
+        console.print(gate.where_touch_stops(uses))
     if result.hopeless:
         share = f"in {result.hopeless:.2f} of the starts"
         console.print(f"{share} the hand fails, at whichever touch it closes")
@@ -126,19 +128,6 @@ def _print(result: Design) -> None:
         if row.chosen_from is not None:
             console.print(_bound(row, row.chosen_from))
     console.print(_places(result))
-
-
-def _stops(result: Design) -> str:
-    """Return at which threshold touch stops paying."""
-    useless = {force: use for force, use in result.uses.items() if not use.pays}
-    if not useless:
-        return f"touch pays up to {max(result.pool.flags.taxel_threshold):g} N"
-    force = min(useless, key=lambda force: force or 0.0)
-    return (
-        f"touch stops paying at {force:g} N: with all candidates a hand succeeds in "
-        f"{useless[force].touch:.2f} of the starts, by {useless[force].sense} in "
-        f"{useless[force].blind:.2f}"
-    )
 
 
 def _cells(row: Row, result: Design) -> list[str]:

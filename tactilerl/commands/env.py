@@ -1,4 +1,4 @@
-"""`tactilerl env`: what an environment consists of."""
+"""Run `tactilerl env`, which says what an environment consists of."""
 
 from __future__ import annotations
 
@@ -44,52 +44,48 @@ class EnvFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl env --describe`: exit 1 where --check finds a taxel that never fires."""
+    """Run `tactilerl env --describe`; return 1 where --check finds a taxel that never fires."""
     read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
     with input_errors():
-        made = GraspEnv(read.env, scene) if scene else envs.make(read.env)
-        with closing(made):
-            described = _described(read.env, made, scene)
+        env: Any = GraspEnv(read.env, scene) if scene else envs.make(read.env)
+        with closing(env):
+            content = _content(read.env, env, scene)
         check = None
         if read.check:
-            check = _checked(read.env, scene)
-            described["check"] = asdict(check)
+            check = _check(read.env, scene)
+            content["check"] = asdict(check)
     if read.json:
-        print(json.dumps(described))
+        print(json.dumps(content))
     else:
-        for name in ("action_space", "observation_space"):
-            described[name] = _short(getattr(made, name))
-        lines = _lines(described, read.describe, check)
+        _print(content, read.describe, check)
         if not args:
-            lines.append("named scenes (--scene NAME):")
-            lines += [
-                f"  {name:18} {scenes.load(name).about}" for name in scenes.names()
-            ]
-        print("\n".join(lines))
+            print("named scenes (--scene NAME):")
+            for name in scenes.names():
+                print(f"  {name:18} {scenes.load(name).about}")
     return int(check is not None and bool(check.never_fired))
 
 
-def _described(name: str, env: Any, scene: GraspConfig | None) -> dict[str, Any]:
+def _content(name: str, env: Any, scene: GraspConfig | None) -> dict[str, Any]:
     """Return what there is to say about an environment, as JSON has it."""
-    described: dict[str, Any] = {
+    content: dict[str, Any] = {
         "env": name,
-        "action_space": str(env.action_space),
-        "observation_space": str(env.observation_space),
+        "action_space": _short(env.action_space),
+        "observation_space": _short(env.observation_space),
     }
     if scene is not None:
         length = f"up to {env.max_episode_steps} actions of {scene.control_dt:g} s"
-        described |= {
+        content |= {
             "task": f"{scene.task} in {scene.simulator}, {length}",
             "observation": env.observation_names(),
             "action": env.hand.action_names,
             "taxels": len(env.taxels),
             "notes": layout_notes(name, scene.layout),
         }
-    return described
+    return content
 
 
-def _checked(name: str, scene: GraspConfig | None) -> TaxelCheck:
-    """Play scripted grasps; where the hand has none, one is searched for."""
+def _check(name: str, scene: GraspConfig | None) -> TaxelCheck:
+    """Play scripted grasps; where the hand has none, search for one."""
     if scene is None:
         raise InputError(f"--check: found {name}, allowed the environments of hands")
     if tasks.TASKS[scene.task].giver is None:
@@ -97,26 +93,24 @@ def _checked(name: str, scene: GraspConfig | None) -> TaxelCheck:
     return taxels.check(name, scene)
 
 
-def _lines(
-    described: dict[str, Any], everything: bool, check: TaxelCheck | None
-) -> list[str]:
-    """Return what is printed of it."""
-    single = ("env", "task", "action_space", "observation_space", "taxels")
-    lines = [f"{key}: {described[key]}" for key in single if key in described]
-    lines += [f"note: {note}" for note in described.get("notes", ())]
+def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) -> None:
+    """Print the content in lines, all entries of action and observation if `everything`."""
+    for key in ("env", "task", "action_space", "observation_space", "taxels"):
+        if key in content:
+            print(f"{key}: {content[key]}")
+    for note in content.get("notes", ()):
+        print(f"note: {note}")
     for key in ("action", "observation") if everything else ():
-        entries = enumerate(described.get(key, ()))
-        lines += [f"{key}[{i}] {entry}" for i, entry in entries]
+        for index, entry in enumerate(content.get(key, ())):
+            print(f"{key}[{index}] {entry}")
     if check is not None:
-        n_taxels = described["taxels"]
-        lines += [
+        print(
             f"check: {check.held} of {check.grasps} scripted grasps hold; {len(check.fired)} of "
-            f"{n_taxels} taxels fire in them, {check.mean_fired:.1f} at a time, and some taxel in "
-            f"{100 * check.share_any:.0f} % of the time",
-            f"fired: {', '.join(check.fired) or 'none'}",
-            f"never fired: {', '.join(check.never_fired) or 'none'}",
-        ]
-    return lines
+            f"{content['taxels']} taxels fire in them, {check.mean_fired:.1f} at a time, and some "
+            f"taxel in {100 * check.share_any:.0f} % of the time"
+        )
+        print(f"fired: {', '.join(check.fired) or 'none'}")
+        print(f"never fired: {', '.join(check.never_fired) or 'none'}")
 
 
 def _short(space: gym.Space[Any]) -> str:
@@ -124,7 +118,7 @@ def _short(space: gym.Space[Any]) -> str:
     if isinstance(space, gym.spaces.Dict):
         parts = (f"{key}: {_short(part)}" for key, part in space.spaces.items())
         return f"Dict({', '.join(parts)})"
-    whole = str(space)
-    if "[" in whole or "inf" in whole:
-        return f"{type(space).__name__}{space.shape}"
-    return whole
+    text = str(space)
+    return (
+        f"{type(space).__name__}{space.shape}" if "[" in text or "inf" in text else text
+    )

@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 from functools import partial
-from itertools import product
 from typing import Annotated, Any
 
 from rich.table import Table
 
-from ..envs import hands, layouts, validation
+from ..envs import validation
 from ..envs.grasp import GraspConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
@@ -18,7 +17,7 @@ from ..scripted import gate
 from ..terminal import flags
 from ..terminal.console import console, progress
 from .grasps import require_grasp
-from .scene import read_scene
+from .scene import layout_notes, read_scene
 
 ABOUT = """\
 Can touch make a difference in a scene? Compares scripted hands that feel, see, or do neither,
@@ -60,18 +59,17 @@ def main(args: list[str]) -> int:
     with input_errors():
         if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate compares with no touch")
-        variants = [
-            dataclasses.replace(scene, layout=layout, taxel_threshold=threshold)
-            for layout, threshold in product(
-                layout_names or [scene.layout],
-                map(float, thresholds) if thresholds else [scene.taxel_threshold],
-            )
+        forces: list[float | None] = [*map(float, thresholds)] or [
+            scene.taxel_threshold
         ]
-        for each in variants:
-            validation.validate(each)
-            layout, hand = layouts.load(each.layout), hands.get(read.env)
-            layouts.require_places(layout, hand)
-            layout.place(hand)
+        variants = [
+            dataclasses.replace(scene, layout=layout, taxel_threshold=force)
+            for layout in layout_names or [scene.layout]
+            for force in forces
+        ]
+        for variant in variants:
+            validation.validate(variant)
+            layout_notes(read.env, variant.layout)  # raises what is wrong with it
         if scene.task != "handover":
             require_grasp(read.env, scene)
     n_senses = len(gate.useful_senses(scene)) + len(variants) - 1
@@ -82,43 +80,48 @@ def main(args: list[str]) -> int:
             gate.examine, read.env, starts=read.starts, search=read.search, seed=read.seed,
             workers=read.workers or free_cores(), tick=tick,
         )  # fmt: skip
-        rows = examine(variants[0])
-        touch = [row for row in rows if row.name == "touch"]
-        touch += [examine(each, senses=["touch"])[0] for each in variants[1:]]
-    sentences = [gate.verdict(rows)]
+        results = examine(variants[0])
+        touch = [result for result in results if result.name == "touch"]
+        touch += [examine(variant, senses=["touch"])[0] for variant in variants[1:]]
+    with_touch = list(zip(variants, touch, strict=True))
+    sentences = [gate.verdict(results)]
     if thresholds:
-        blind, n = gate.without_touch(rows).rate, len(thresholds)
-        for at in range(0, len(variants), n):
-            rates = [row.rate for row in touch[at : at + n]]
-            by_threshold = dict(zip(map(float, thresholds), rates, strict=True))
-            about = f"Layout {variants[at].layout}: " if len(variants) > n else ""
-            sentences.append(about + gate.where_it_stops(by_threshold, blind))
+        blind = gate.without_touch(results).rate
+        for layout in layout_names or [scene.layout]:
+            rates = {
+                variant.taxel_threshold or 0.0: (result.rate, blind)
+                for variant, result in with_touch
+                if variant.layout == layout
+            }
+            about = f"Layout {layout}: " if len(layout_names) > 1 else ""
+            sentences.append(about + gate.where_touch_stops(rates))
     if read.json:
-        felt = zip(variants, touch, strict=True)
-        result: dict[str, Any] = {
-            "reflexes": [dataclasses.asdict(row) for row in rows],
+        content: dict[str, Any] = {
+            "reflexes": [dataclasses.asdict(result) for result in results],
             "touch": [
                 {
-                    "layout": each.layout,
-                    "taxel_threshold": each.taxel_threshold,
-                    **dataclasses.asdict(row),
+                    "layout": variant.layout,
+                    "taxel_threshold": variant.taxel_threshold,
+                    **dataclasses.asdict(result),
                 }
-                for each, row in felt
+                for variant, result in with_touch
             ],
             "verdict": " ".join(sentences),
         }
-        print(json.dumps(result))
+        print(json.dumps(content))
         return 0
     table = Table("scripted hand", "switches when", "success", "95 % interval")
-    for row in rows:
-        shown = {row.name: row}
-        if row.name == "touch":
-            names = [_name(each, layout_names, thresholds) for each in variants]
-            shown = dict(zip(names, touch, strict=True))
-        for name, one in shown.items():
-            low, high = one.interval
-            when = gate.SENSES[row.name][1]
-            table.add_row(name, when, f"{one.rate:.2f}", f"{low:.2f} – {high:.2f}")
+    for result in results:
+        rows = [(result.name, result)]
+        if result.name == "touch":
+            rows = [
+                (_name(variant, layout_names, thresholds), hand)
+                for variant, hand in with_touch
+            ]
+        for name, hand in rows:
+            low, high = hand.interval
+            when = gate.SENSES[hand.name][1]
+            table.add_row(name, when, f"{hand.rate:.2f}", f"{low:.2f} – {high:.2f}")
     console.print(table)
     for sentence in sentences:
         console.print(sentence)
@@ -126,7 +129,7 @@ def main(args: list[str]) -> int:
 
 
 def _name(scene: GraspConfig, layout_names: list[str], thresholds: list[str]) -> str:
-    """Return what the row of a hand with touch is called."""
+    """Return the name in the table of a hand with touch."""
     layout = f", layout {scene.layout}" if len(layout_names) > 1 else ""
     threshold = f", {scene.taxel_threshold:g} N" if len(thresholds) > 1 else ""
     return f"touch{layout}{threshold}"

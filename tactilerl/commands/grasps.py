@@ -1,4 +1,4 @@
-"""A scripted grasp for a hand whose file has none: searched for, and kept beside the file."""
+"""Find a scripted grasp for a hand whose file has none, and keep it beside the file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..pictures import render
 from ..scripted import grasp_search
 from ..terminal.console import beside, progress
 
-LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
+LEAST_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
 FAR = 2.0  # times as far off is a camera that sees the hand over an object that fell
 MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
 
@@ -29,49 +29,40 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
     """
     if hands.get(name).grasps:
         return
-    found = found_grasp(name, scene)
-    if found is None:
+    best = find_grasp(name, scene)
+    if best is None:
         raise ValueError(
             f"hand {name}: found no grasp that holds; look at [opened] and [closed]"
         )
     path = hands.file(name)
-    kept = path.with_suffix(hands.KEPT)
-    with replacing(kept) as file:
+    target = path.with_suffix(hands.KEPT)
+    with replacing(target) as file:
         digest = hands.short_digest(path)
-        file.write(f'{MARK}hand = "{digest}"\n\n{found.toml()}\n'.encode())
-    beside.print(f"kept in {kept}")
+        file.write(f'{MARK}hand = "{digest}"\n\n{best.toml()}\n'.encode())
+    beside.print(f"kept in {target}")
 
 
-def found_grasp(
+def find_grasp(
     name: str, scene: GraspConfig, overwrite: bool = False
-) -> grasp_search.Found | None:
-    """Search for a grasp and return the best, with how it went; None where the best does not hold.
+) -> grasp_search.FoundGrasp | None:
+    """Search for a grasp and return the best, with how it went.
 
-    In that case a picture of it is drawn.
+    Return None where the best does not hold, and draw a picture of it.
     """
     beside.print(f"{name} has no [[grasp]]: looking for one")
     with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
-        found = grasp_search.find(name, scene, free_cores(), tick)
-    up = f"{100 * found.share:.0f} % of the time"
-    size = f"a {1e3 * found.grasp.object_size:g} mm object"
-    if found.share >= LEAST:
-        beside.print(
-            f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits"
-        )
-        return found
+        best = grasp_search.find(name, scene, free_cores(), tick)
+    up = f"{100 * best.share:.0f} % of the time"
+    size = f"a {1e3 * best.grasp.object_size:g} mm object"
+    if best.share >= LEAST_SHARE:
+        digits = f"touched by {best.digits:.1f} digits"
+        beside.print(f"found one: it holds {size} {up}, {digits}")
+        return best
     beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
     beside.print("look at [opened] and [closed], or at the force of the servos")
-    picture = Path(hands.file(name).with_suffix(".no_grasp.png").name)
-    draw(
-        beside,
-        "the best of them",
-        name,
-        scene,
-        "grasp",
-        picture,
-        overwrite,
-        found.grasp,
-    )
+    path = Path(hands.file(name).with_suffix(".no_grasp.png").name)
+    what = "the best of them"
+    draw(beside, what, name, scene, "grasp", path, overwrite, best.grasp)
     return None
 
 
@@ -80,11 +71,12 @@ def draw(
     overwrite: bool, grasp: ScriptedGrasp | None = None,
 ) -> None:  # fmt: skip
     """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
-    away = hands.get(name).reach / hands.Hand.reach * Camera.distance
-    far = 1.0 if grasp is None else FAR
+    distance = hands.get(name).reach / hands.Hand.reach * Camera.distance
+    if grasp is not None:
+        distance *= FAR
     try:
         require_new(path, overwrite)
-        camera = Camera(azimuth=300.0, distance=far * away)
+        camera = Camera(azimuth=300.0, distance=distance)
         render.picture(name, scene, pose, camera, path, grasp)
         screen.print(f"{path}: {what}")
     except (ImportError, OSError, InputError) as error:

@@ -17,7 +17,7 @@ from ..errors import InputError, input_errors
 from ..files import pasted, replacing, require_new
 from ..terminal import flags
 from ..terminal.console import console
-from .grasps import draw, found_grasp
+from .grasps import draw, find_grasp
 
 ABOUT = """\
 Write the file of a hand from its model, MJCF or URDF: what its parts are, its open and closed
@@ -64,7 +64,7 @@ def main(args: list[str]) -> int:
         for note in hand.notes:
             console.print(f"  note: {note}")
         scene = setup(str(read.out), layout="1")
-        found = found_grasp(str(read.out), scene, read.overwrite)
+        found = find_grasp(str(read.out), scene, read.overwrite)
     if found is not None:
         text = f"\n{found.toml()}\n"
         _save(read.out, read.out.read_bytes() + text.encode())

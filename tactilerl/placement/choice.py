@@ -74,7 +74,7 @@ class Use(NamedTuple):
     @property
     def pays(self) -> bool:
         """Whether touch wins enough for a design to tell anything."""
-        return self.touch - self.blind >= gate.TELLS
+        return gate.pays(self.touch, self.blind)
 
 
 @dataclass(frozen=True)

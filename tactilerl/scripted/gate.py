@@ -15,7 +15,7 @@ from ..envs.observations import TaxelFaults
 from . import reflexes
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
-TELLS = 0.3  # what a scene must leave to win to tell anything
+PAYS = 0.3  # difference of success rates from which touch, or a scene, tells anything
 NO_FAULTS: dict[str, Any] = {
     **dataclasses.asdict(TaxelFaults()),
     "taxel_delay": 0,
@@ -30,30 +30,34 @@ SENSES = {
     "touch": ("touch", "enough taxels fire"),
     "sighted": ("sight", "the object is seen to be in place"),
 }
-
-
+"""Sense of `reflexes.SENSES` by which each scripted hand goes, and when it goes over."""
 BLIND = "timed", "joints", "active", "sight"
+"""Scripted hands that neither feel nor see the object's exact place."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
-    """The best reflex of a sense and how often it succeeds."""
+class HandResult:
+    """The best reflex of a scripted hand and how often it succeeds."""
 
     name: str
     """One of SENSES."""
     reflex: reflexes.Reflex
     rate: float
+    """Share of the starts in which it succeeds."""
     interval: Sequence[float]
-    """Wilson's, 95 %."""
+    """Wilson's interval of the rate, 95 %."""
     episodes: int
+    """Number of starts."""
 
 
 def useful_senses(scene: GraspConfig) -> list[str]:
-    """Return the senses that a scene has a use for."""
-    is_seen = scene.object_seen not in ("hidden", "exact")  # exact: as the sighted hand
-    is_handed_over = tasks.TASKS[scene.task].giver is not None
-    of_some = {"sight": is_seen, "active": is_handed_over}
-    return [name for name in SENSES if of_some.get(name, True)]
+    """Return the names of the scripted hands that a scene has a use for."""
+    useless = set()
+    if scene.object_seen in ("hidden", "exact"):  # exact: as the sighted hand
+        useless.add("sight")
+    if tasks.TASKS[scene.task].giver is None:
+        useless.add("active")
+    return [name for name in SENSES if name not in useless]
 
 
 def examine(
@@ -65,37 +69,40 @@ def examine(
     workers: int,
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
-) -> list[Found]:
+) -> list[HandResult]:
     """Find the best reflex of each of these senses in a scene, `starts` starts each.
 
     Each sense has as many candidates, and each candidate the same `search` starts. `tick` is called
     after every one of the `n_played` episodes of a sense.
     """
-    results, first = [], 2 * SEARCH * seed
+    first = 2 * SEARCH * seed
+    compared = range(first, first + starts)
+    searched = range(first + SEARCH, first + SEARCH + search)
+    results = []
     for name in useful_senses(scene):
         if name not in senses:
             continue
         sense, _ = SENSES[name]
-        sensed = scene
+        changes: dict[str, Any] = {}
         if sense != "touch":
-            sensed = dataclasses.replace(scene, touch="absent", **NO_FAULTS)
+            changes = {"touch": "absent", **NO_FAULTS}
         if name == "sighted":
-            exact: Any = {
+            changes |= {
                 "object_seen": "exact",
                 "sight_noise": None,
                 "sight_noise_kind": "white",
             }
-            sensed = dataclasses.replace(sensed, **exact)
-        make = partial(GraspEnv, hand, sensed)
+        make = partial(GraspEnv, hand, dataclasses.replace(scene, **changes))
         with closing(vector.start(make, workers)) as played_in:
-            others = range(first + SEARCH, first + SEARCH + search)
             env: Any = played_in.env.unwrapped
             candidates = reflexes.candidates(env, sense)
-            counts = [_n_won(played_in, reflex, others, tick) for reflex in candidates]
+            counts = [
+                _n_won(played_in, reflex, searched, tick) for reflex in candidates
+            ]
             best = candidates[counts.index(max(counts))]
-            n_won = _n_won(played_in, best, range(first, first + starts), tick)
+            n_won = _n_won(played_in, best, compared, tick)
         interval = statistics.wilson_interval(n_won, starts)
-        results.append(Found(name, best, n_won / starts, interval, starts))
+        results.append(HandResult(name, best, n_won / starts, interval, starts))
     return results
 
 
@@ -105,7 +112,7 @@ def _n_won(
     starts: range,
     tick: Callable[[], None],
 ) -> int:
-    """Return how many starts a reflex wins; `tick` is called after every one."""
+    """Return the number of starts that a reflex wins; `tick` is called after every one."""
     n_won = 0
     for is_won in workers.play(reflex.play, starts):
         n_won += is_won
@@ -114,20 +121,21 @@ def _n_won(
 
 
 def n_played(starts: int, search: int) -> int:
-    """Return how many episodes are played for a sense."""
+    """Return the number of episodes that are played for a sense."""
     return reflexes.CANDIDATES * search + starts
 
 
-def without_touch(results: list[Found]) -> Found:
+def without_touch(results: list[HandResult]) -> HandResult:
     """Return the best hand that neither feels nor sees the object's exact place."""
-    return max((one for one in results if one.name in BLIND), key=lambda one: one.rate)
+    blind = [result for result in results if result.name in BLIND]
+    return max(blind, key=lambda result: result.rate)
 
 
-def verdict(results: list[Found]) -> str:
-    """Return one sentence about the scene."""
+def verdict(results: list[HandResult]) -> str:
+    """Return one sentence about what touch can win in the scene."""
     rates, blind = {one.name: one.rate for one in results}, without_touch(results)
     room = rates["sighted"] - blind.rate
-    if room < TELLS:
+    if room < PAYS:
         return (
             f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds in "
             f"{blind.rate:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
@@ -139,15 +147,20 @@ def verdict(results: list[Found]) -> str:
     )
 
 
-def where_it_stops(rates: Mapping[float, float], blind: float) -> str:
-    """Return one sentence: at which threshold, N, does touch stop paying?
+def pays(touch: float, blind: float) -> bool:
+    """Tell whether a success rate with touch is enough above that of the best hand without."""
+    return touch - blind >= PAYS
 
-    `rates` are the successes of hands with touch by threshold, `blind` that of the best hand without.
+
+def where_touch_stops(rates: Mapping[float, tuple[float, float]]) -> str:
+    """Return one sentence about the threshold, N, at which touch stops paying.
+
+    `rates` are success rates by threshold: that of a hand with touch, and that of the best without.
     """
-    for threshold, rate in sorted(rates.items()):
-        if rate - blind < TELLS:
+    for threshold, (touch, blind) in sorted(rates.items()):
+        if not pays(touch, blind):
             return (
                 f"Touch stops paying at a threshold of {threshold:g} N: touch succeeds in "
-                f"{rate:.2f} of the starts, the best without in {blind:.2f}."
+                f"{touch:.2f} of the starts, the best hand without in {blind:.2f}."
             )
     return f"Touch pays at every one of these thresholds, up to {max(rates):g} N."

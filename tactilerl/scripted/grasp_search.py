@@ -1,4 +1,4 @@
-"""A scripted grasp for a hand that has none: a small search over the palm's place and the closing."""
+"""Find a scripted grasp for a hand that has none, by a small search over palm place and closing."""
 
 from __future__ import annotations
 
@@ -29,13 +29,11 @@ GROUNDS = 0.004, -0.03, -0.03
 """Height of the lowest fingertip over the ground in each search, m: as the hand closes, tips rise."""
 UP = 0.05  # m above its place at the start
 CLOSINGS = (0.3, 1.2)
-TOUCHING = CENTRED = (
-    0.1  # what all digits touching, and the object in the middle, count
-)
+BONUS = 0.1  # of all digits touching, and as much is lost where the object is `UP` off the middle
 NARROWEST = 2e-3, 2e-3, 2e-3, 0.03  # m and share: what the draws differ by at least
 
 
-class Found(NamedTuple):
+class FoundGrasp(NamedTuple):
     """A grasp, and how good it was."""
 
     grasp: ScriptedGrasp
@@ -44,7 +42,7 @@ class Found(NamedTuple):
     share: float
     """Share of the steps of its holds in which the object was up."""
     digits: float
-    """Digits that touched the object, on average."""
+    """Number of digits that touched the object, on average."""
 
     def toml(self) -> str:
         """Return the grasp as text for the hand's file."""
@@ -55,94 +53,87 @@ class Found(NamedTuple):
         )
 
 
+class Candidate(NamedTuple):
+    """A grasp that was tried."""
+
+    result: Array
+    """Result (3,), mean over the starts: goodness, share of the steps, number of digits (`_hold`)."""
+    figures: Array
+    """Palm's offset (x, y, z) from its place at the start, m, and the share that the fingers close."""
+
+
+def _goodness(candidate: Candidate) -> float:
+    return float(candidate.result[0])
+
+
 def find(
     hand: str,
     config: GraspConfig,
     workers: int,
     tick: Callable[[], None] = lambda: None,
-) -> Found:
+) -> FoundGrasp:
     """Find the best grasp of the scene's object.
 
     Of grasps that hold it as long, the best is the one that most digits touch and that has it best in
     the middle. This is a cross-entropy search over the palm's place and how far the hand closes, again,
-    and lower, where what it finds is not good. `tick` is called after every candidate. ValueError when
+    and lower, where its best is not good. `tick` is called after every candidate. Raise ValueError when
     the hand's file does not say what its closed hand is.
     """
     make = partial(GraspEnv, hand, config)
-    with closing(make()) as example:
-        built, size = example.hand, example.shape.width
-        tip = float(example.simulator.state().fingertips[:, 2].min())
-    if not built.closed:
-        missing = "has no [closed], the joint angles of the closed hand"
-        raise ValueError(f"hand {hand}: {missing}")
-    highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
-    best = np.zeros(4), highest
     with closing(vector.start(make, workers)) as played_in:
+        env: Any = played_in.env.unwrapped
+        tip = float(env.state.fingertips[:, 2].min())
+        if not env.hand.closed:
+            missing = "has no [closed], the joint angles of the closed hand"
+            raise ValueError(f"hand {hand}: {missing}")
+        grasp_of = partial(_grasp, env.hand, env.shape.width)
 
-        def tested(figures: Array, starts: range) -> Array:
-            """Return how good a candidate is on the mean, as `_hold` says."""
+        def test(figures: Array, starts: range) -> Candidate:
             tick()
-            held = played_in.play(partial(_hold, _grasp(built, size, figures)), starts)
-            return np.asarray(np.mean(list(held), axis=0))
+            held = played_in.play(partial(_hold, grasp_of(figures)), starts)
+            return Candidate(np.mean(list(held), axis=0), figures)
 
+        searches = []
         for attempt, ground in enumerate(GROUNDS):
             lowest = np.array([-BESIDE, -BESIDE, min(ground - tip, 0.0), CLOSINGS[0]])
             rng = np.random.default_rng(SEED + attempt)
-            last = _search(tested, lowest, highest, rng)
-            best = max(last, best, key=_goodness)
-            if last[0][1] >= GOOD:
+            searches.append(_search(test, lowest, rng))
+            if searches[-1].result[1] >= GOOD:
                 break
-    (_, share, digits), figures = best
-    figures = np.round(figures, 4)
-    return Found(
-        grasp=_grasp(built, size, figures),
-        closing=float(figures[-1]),
-        share=float(share),
-        digits=float(digits),
-    )
-
-
-Candidate = tuple[Array, Array]
-"""Result of a candidate, (3,) as `_hold` says, and its figures (4,)."""
-
-
-def _goodness(candidate: Candidate) -> float:
-    return float(candidate[0][0])
+    best = max(reversed(searches), key=_goodness)
+    figures = np.round(best.figures, 4)
+    _, share, digits = best.result.tolist()
+    return FoundGrasp(grasp_of(figures), float(figures[-1]), share, digits)
 
 
 def _search(
-    tested: Callable[[Array, range], Array],
-    lowest: Array,
-    highest: Array,
-    rng: np.random.Generator,
+    test: Callable[[Array, range], Candidate], lowest: Array, rng: np.random.Generator
 ) -> Candidate:
-    """Return the best candidate."""
+    """Return the best candidate whose figures are `lowest` (4,) or more."""
+    highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
     tried: list[Candidate] = []
     for n in ROUNDS:
         if not tried:
-            candidates = rng.uniform(lowest, highest, (n, len(lowest)))
+            draws = rng.uniform(lowest, highest, (n, len(lowest)))
         else:
-            best = np.array([figures for _, figures in tried[:BEST]])
+            best = np.array([candidate.figures for candidate in tried[:BEST]])
             spread = np.maximum(best.std(axis=0), NARROWEST)
-            drawn = rng.normal(best.mean(axis=0), spread, (n, len(lowest)))
-            candidates = np.clip(drawn, lowest, highest)
-        tried += [(tested(figures, range(STARTS)), figures) for figures in candidates]
+            draws = rng.normal(best.mean(axis=0), spread, (n, len(lowest)))
+            draws = np.clip(draws, lowest, highest)
+        tried += [test(figures, range(STARTS)) for figures in draws]
         tried.sort(key=_goodness, reverse=True)
     others = range(STARTS, STARTS + OTHERS)  # where those that were lucky are not
-    last = [(tested(figures, others), figures) for _, figures in tried[:BEST]]
-    return max(last, key=_goodness)
+    again = [test(candidate.figures, others) for candidate in tried[:BEST]]
+    return max(again, key=_goodness)
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
-    """Return the grasp that four figures describe.
-
-    They are the palm's offset (x, y, z) from its place at the start, m, and the share of the way to
-    the closed hand that the fingers close.
-    """
+    """Return the grasp of an object of `size` m that the figures of a candidate describe."""
     *place, share = figures.tolist()
     targets = dict(zip(SLIDES, place, strict=True))
-    closed = {n: o + share * (hand.closed[n] - o) for n, o in hand.opened.items()}
-    return ScriptedGrasp(size, {**targets, **closed})
+    for name, opened in hand.opened.items():
+        targets[name] = opened + share * (hand.closed[name] - opened)
+    return ScriptedGrasp(size, targets)
 
 
 def _hold(
@@ -151,14 +142,13 @@ def _hold(
     number: int,
     is_wanted: vector.IsWanted,
 ) -> Array:
-    """Hold the object from the start of a number, and return how that went, (3,).
+    """Hold the object from the start of a number, and return the result (3,).
 
     The entries are how good it is, the share of the steps in which the object was up, and the number
     of digits that touched it.
     """
     base: Any = env.unwrapped
-    rng = np.random.default_rng([SEED, number])
-    start = scripted.perturbed_start(rng, len(base.hand.joints))
+    start = scripted.perturbed_start(base, SEED, number)
     ups, last = [], None
     try:
         for is_up in scripted.hold_steps(base, grasp, start, SECONDS):
@@ -176,16 +166,16 @@ def _hold(
         if surface.link in links and surface.segment != "palm"
     }
     middle = _middle(base.hand, last.fingertips)
-    beside = float(np.linalg.norm(last.object_position - middle))
-    gained = TOUCHING * len(touching) / len(base.hand.digits)
-    good = share * (1 + gained - CENTRED * min(1, beside / UP))
+    off_middle = float(np.linalg.norm(last.object_position - middle))
+    gained = BONUS * len(touching) / len(base.hand.digits)
+    good = share * (1 + gained - BONUS * min(1, off_middle / UP))
     return np.array([good, share, len(touching)])
 
 
 def _middle(hand: Hand, tips: Array) -> Array:
     """Return the place between the thumb, where there is one, and the fingers (3,), m."""
-    names = list(hand.digits)
-    if "thumb" not in names:
+    digits = list(hand.digits)
+    if "thumb" not in digits:
         return np.asarray(tips.mean(axis=0))
-    thumb = names.index("thumb")
+    thumb = digits.index("thumb")
     return np.asarray((tips[thumb] + np.delete(tips, thumb, axis=0).mean(axis=0)) / 2)

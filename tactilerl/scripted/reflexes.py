@@ -1,4 +1,4 @@
-"""Scripted reflexes: what can be won in a scene with one sense and one decision, without learning?
+"""Play scripted reflexes, to see what can be won in a scene with one sense and one decision.
 
 All do the same two things and differ in when they go over to the second. Where an object is handed
 over they wait, then close; an active hand does not wait still, but closes and opens. Elsewhere they
@@ -39,11 +39,12 @@ CLOSINGS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of a scripted grasp
 
 @dataclass(frozen=True)
 class Reflex:
-    """Goes over to the second part as soon as its `sense` says `threshold` or more."""
+    """A scripted hand that goes over to its second part when `sense` reads `threshold` or more."""
 
     sense: str
     """One of SENSES."""
     threshold: float
+    """Reading of the sense from which the hand goes over, in the unit of the method of `_Senses`."""
     closing: float
     """Share of the way that the hand closes, to its scripted grasp or to the closed hand; 1: all."""
 
@@ -53,33 +54,36 @@ class Reflex:
         number: int,
         is_wanted: vector.IsWanted = lambda: True,
     ) -> bool:
-        """Play the start that the seed `number` draws: does it succeed?"""
+        """Play the start that the seed `number` draws, and return whether it succeeds."""
         base: Any = env.unwrapped
         obs, _ = env.reset(seed=number)
-        reading = _Reading(base, obs)
-        says = getattr(reading, self.sense)
-        latest = base.max_episode_steps - LATEST - reading.n_second
-        parts = _parts(base, self.closing, reading.shift(self.sense))
-        first: Iterator[Array]
+        senses = _Senses(base, obs)
+        read = getattr(senses, self.sense)
+        shift = senses.seen_offset() if self.sense == "sight" else np.zeros(2)
+        parts = _parts(base, self.closing, shift)
+        latest = base.max_episode_steps - LATEST
+        if senses.lifts:
+            senses.n_first = len(parts[0])
+            latest -= len(parts[1])
         first, second = (chain(part, repeat(part[-1])) for part in parts)
+        targets: Iterator[Array] = first
         if self.sense == "active":
-            first = cycle([parts[1][-1]] * TRIAL + [parts[0][-1]] * TRIAL)
-        targets, is_over = first, False
+            targets = cycle([parts[1][-1]] * TRIAL + [parts[0][-1]] * TRIAL)
+        is_over = False
         while not is_over:
-            if targets is first and (
-                says() >= self.threshold or reading.step >= latest
-            ):
+            if read() >= self.threshold or senses.step >= latest:
                 targets = second
             obs, _, terminated, truncated, info = base.step_to(next(targets))
-            reading.add(obs)
+            senses.add(obs)
             is_over = terminated or truncated
         return bool(info["is_success"])
 
 
-class _Reading:
-    """Read what the policy would be told, by sense: the newest observation and the first few."""
+class _Senses:
+    """Read one sense of a policy's observations: the newest and the first few."""
 
     def __init__(self, env: GraspEnv, obs: dict[str, Array]) -> None:
+        """Take an environment and its first observation."""
         entries = env.observation_entries
         self._joints = entries("hand_position", "finger_joints", "joint_positions")
         self._object, self._taxels = entries("object_position"), entries("taxels")
@@ -88,38 +92,41 @@ class _Reading:
                 "reflexes go by joints and the object, which this hand does not observe"
             )
         self._touching = env.palm_skin[2] - env.shape.half_size[2]
-        self._lifts = env.task.giver is None
-        parts = _parts(env, 1.0, np.zeros(2)) if self._lifts else ((), ())
-        self._n_first, self.n_second = (len(part) for part in parts)
-        self._seen: list[Array] = []
+        self.lifts = env.task.giver is None
+        self.n_first = 0
+        self._obs: list[Array] = []
         self.add(obs)
 
     def add(self, obs: dict[str, Array]) -> None:
         """Take in an observation after another action."""
-        self._seen.append(obs["observation"])
-        self.step = len(self._seen) - 1
-        self._may_go = (
-            not self._lifts or self.step > self._n_first // 2
-        )  # the fingers have set off
+        self._obs.append(obs["observation"])
+        self.step = len(self._obs) - 1
 
-    def shift(self, sense: str) -> Array:
-        """Return where the object is seen beside its place (2,), m, by those that look."""
-        looks = sense == "sight" and self._lifts
-        return self._seen[0][self._object[:2]].astype(float) if looks else np.zeros(2)
+    def seen_offset(self) -> Array:
+        """Return where an object on the ground is seen beside its place at first (2,), m."""
+        if not self.lifts:
+            return np.zeros(2)
+        return self._obs[0][self._object[:2]].astype(float)
+
+    def _is_early(self) -> bool:
+        """Tell whether the fingers have not yet set off to a grasp."""
+        return self.lifts and self.step <= self.n_first // 2
 
     def touch(self) -> float:
         """Return how many taxels fire; -1 before any may."""
-        return float((self._seen[-1][self._taxels] > 0).sum()) if self._may_go else -1.0
+        if self._is_early():
+            return -1.0
+        return float((self._obs[-1][self._taxels] > 0).sum())
 
     def sight(self) -> float:
         """Return how near the object is to the palm, m; of one on the ground, the time."""
-        if self._lifts:
+        if self.lifts:
             return self.time()
-        return float(self._seen[-1][self._object[2]] - self._touching)
+        return float(self._obs[-1][self._object[2]] - self._touching)
 
     def time(self) -> float:
-        """Return the actions so far; of a lift, since a grasp could be closed."""
-        return float(self.step - self._n_first)
+        """Return the number of actions so far; of a lift, since a grasp could be closed."""
+        return float(self.step - self.n_first)
 
     def joints(self) -> float:
         """Return how far any joint, or the hand, has moved, relative to how its first readings varied.
@@ -127,15 +134,15 @@ class _Reading:
         In a lift, return how still the joints are instead, rad: minus the largest change since the last
         reading.
         """
-        seen = np.array(self._seen)[:, self._joints].astype(float)
-        if self._lifts:
-            return (
-                -float(np.abs(seen[-1] - seen[-2]).max()) if self._may_go else -np.inf
-            )
+        readings = np.array(self._obs)[:, self._joints].astype(float)
+        if self.lifts:
+            if self._is_early():
+                return -np.inf
+            return -float(np.abs(readings[-1] - readings[-2]).max())
         if self.step < BASELINE:
             return 0.0
-        first = seen[:BASELINE]
-        moved = np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)
+        first = readings[:BASELINE]
+        moved = np.abs(readings[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)
         return float(moved.max())
 
     def active(self) -> float:
@@ -145,22 +152,22 @@ class _Reading:
         """
         if self.step % (2 * TRIAL) != TRIAL:
             return 0.0
-        now, first = (self._seen[step][self._joints] for step in (self.step, TRIAL))
+        now, first = (self._obs[step][self._joints] for step in (self.step, TRIAL))
         return float(np.abs(now - first).mean())
 
 
 def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
     """Return the fifteen reflexes of a sense to choose from; none if the scene has no use for it."""
-    handed, lifted = SENSES[sense]
+    of_handover, of_lift = SENSES[sense]
     if env.task.giver is not None:
-        return [Reflex(sense, threshold, 1.0) for threshold in handed]
-    return [Reflex(sense, *values) for values in product(lifted, CLOSINGS)]
+        return [Reflex(sense, threshold, 1.0) for threshold in of_handover]
+    return [Reflex(sense, *values) for values in product(of_lift, CLOSINGS)]
 
 
 def _parts(
     env: GraspEnv, closing: float, shift: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Return the joint targets of the first and of the second part, for an object beside its place.
+    """Return the joint targets (n_actuators,) of the first and of the second part.
 
     The object is `shift` (2,) m beside its place; at the end of a part the targets stay.
     """
@@ -174,7 +181,6 @@ def _parts(
         n, height = len(lift) // 2, env.config.goal_height
         end = lift[-1] + (height - LIFT_HEIGHT) * np.eye(len(opened))[2]
         lift = lift[:n] + [end] * (len(lift) - n)
-    beside = np.pad(shift, (0, len(opened) - 2))
-    return [targets + beside for targets in approach + close], [
-        targets + beside for targets in lift
-    ]
+    offset = np.pad(shift, (0, len(opened) - 2))
+    first = [targets + offset for targets in approach + close]
+    return first, [targets + offset for targets in lift]

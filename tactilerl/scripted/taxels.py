@@ -20,17 +20,20 @@ GRASPS, SECONDS = 20, 3.0
 
 @dataclass(frozen=True)
 class TaxelCheck:
-    """Hold which taxels of a scene fired, and how often, in the grasps that held."""
+    """Which taxels of a scene fired, and how often, in the grasps that held."""
 
     grasps: int
+    """Number of grasps that were played."""
     held: int
+    """Number of grasps in which the object was held."""
     mean_fired: float
-    """Taxels that fire, mean over the steps of the holds."""
+    """Number of taxels that fire, mean over the steps of the holds."""
     share_any: float
     """Share of these steps in which at least one taxel fires."""
     fired: tuple[str, ...]
     """Names of the taxels that fired at any time."""
     never_fired: tuple[str, ...]
+    """Names of the others."""
 
 
 def check(
@@ -47,31 +50,32 @@ def check(
                 "can win in a handover says tactilerl gate"
             )
         grasp, names = scripted.grasp_for(env), np.array(env.taxels.names)
-        starts = scripted.perturbed_starts(env, SEED, n)
-        felt = [_felt(env, grasp, start, seconds) for start in starts]
-    held = [readings for readings in felt if readings is not None]
-    readings = np.concatenate([np.zeros((0, len(names)), bool), *held])
-    n_steps, ever = max(1, len(readings)), readings.any(axis=0)
+        holds = [_readings(env, grasp, number, seconds) for number in range(n)]
+    n_held = sum(len(readings) > 0 for readings in holds)
+    readings = np.concatenate(holds)
+    n_steps, has_fired = max(1, len(readings)), readings.any(axis=0)
     return TaxelCheck(
         grasps=n,
-        held=len(held),
+        held=n_held,
         mean_fired=float(readings.sum() / n_steps),
         share_any=float(readings.any(axis=1).sum() / n_steps),
-        fired=tuple(names[ever].tolist()),
-        never_fired=tuple(names[~ever].tolist()),
+        fired=tuple(names[has_fired].tolist()),
+        never_fired=tuple(names[~has_fired].tolist()),
     )
 
 
-def _felt(
-    env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Offsets, seconds: float
-) -> Array | None:
-    """Return readings (hold steps, taxels), bool, of one hold; None where the object was not held."""
+def _readings(
+    env: GraspEnv, grasp: ScriptedGrasp, number: int, seconds: float
+) -> Array:
+    """Return readings (hold steps, taxels), bool, of one hold; no step if the object was not held."""
+    start = scripted.perturbed_start(env, SEED, number)
+    nothing = np.zeros((0, len(env.taxels)), bool)
     readings = []
     try:
         for is_up in scripted.hold_steps(env, grasp, start, seconds):
             if not is_up:
-                return None
+                return nothing
             readings.append(env.taxel_readings() > 0)
     except SimulationError:
-        return None
-    return np.array(readings, bool)
+        return nothing
+    return np.array(readings)

@@ -182,9 +182,9 @@ class TestRewards:
         hand = make().hand
         shape = Shape("box", (0.02, 0.02, 0.02))
         sparse = tasks.ReachGoal(config, hand, 0.004, shape)
-        assert sparse.reward(achieved, goal).tolist() == [0.0, 0.0, -1.0]
+        assert sparse.compute_reward(achieved, goal).tolist() == [0.0, 0.0, -1.0]
         dense = tasks.ReachGoal(dataclasses.replace(config, reward="dense"), hand, 0.004, shape)
-        np.testing.assert_allclose(dense.reward(achieved, goal), [0.0, -0.3, -0.4])
+        np.testing.assert_allclose(dense.compute_reward(achieved, goal), [0.0, -0.3, -0.4])
         assert sparse.is_success(achieved, goal).tolist() == [True, True, False]
 
     def test_lift_and_hold_stages(self):
@@ -192,7 +192,7 @@ class TestRewards:
         distances = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
         closeness = np.exp(-0.01) + 0.2 * np.exp(-(distances[1:] ** 2)).sum()
         goals = np.stack([np.append(distances, value) for value in tasks.OUTCOMES.values()])
-        rewards = dict(zip(tasks.OUTCOMES, task.reward(goals, task.only_goal), strict=True))
+        rewards = dict(zip(tasks.OUTCOMES, task.compute_reward(goals, task.only_goal), strict=True))
         assert (rewards["timed_out"], rewards["held"]) == (-100.0, 1000.0)
         assert rewards["undecided"] == pytest.approx(closeness)
         assert rewards["fell_back"] == rewards["dropped"] == pytest.approx(closeness + 5)
@@ -310,7 +310,7 @@ class TestHoldTest:
         start = scripted.Offsets()
         for _ in scripted.hold_steps(env, grasp, start, 0.5):
             pass
-        *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
+        targets = scripted.legs(env, grasp, scripted.period(env.config.timestep))[-1][-1]
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
         test = dataclasses.replace(test or env.task.hold, seconds=seconds, verdict=verdict)

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import objects, observations, scenes
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
-from tactilerl.envs.state import State
+
+import states
 
 
 def make(hand="shadow", simulator="mujoco", **choices):
@@ -78,11 +79,10 @@ class TestSight:
         noisy = observations.Sight(observations.SensorConfig(**choices), box)
         turn = Rotation.from_rotvec([0.4, -0.2, 1.0])
         place, orientation = np.array([1.0, 2.0, 3.0]), turn.as_quat(scalar_first=True)
-        none = (), np.zeros((0, 3)), np.zeros((0, 3, 3))
-        thing = State(box, place, turn.as_matrix(), *none, object_orientation=orientation)
+        thing = states.scene(shape=box, object_position=place, object_orientation=orientation)
         offsets, angles = [], []
         for number in range(300):
-            noisy.begin(np.random.default_rng(number))
+            noisy.reset(np.random.default_rng(number))
             seen = [noisy(thing) for _ in range(3)]
             offsets.append([s.object_position - place for s in seen])
             quaternions = [s.object_orientation for s in seen]
@@ -137,7 +137,7 @@ class TestTaxels:
 
     def test_false_readings_come_as_often_as_asked_for(self):
         stage = FalseReadings(0.1, 0.3)
-        stage.begin(np.random.default_rng(1))
+        stage.reset(np.random.default_rng(1))
         read = stage(self.bits)
         assert set(read) == {0.0, 1.0}
         assert read[self.bits == 0].mean() == pytest.approx(0.1, abs=0.01)
@@ -158,7 +158,7 @@ class TestTaxels:
     def test_late_by_whole_control_steps_and_as_at_the_start_before(self):
         stage = Delay(2)
         for _ in range(2):  # the second episode knows nothing of the first
-            stage.begin(np.random.default_rng(0))
+            stage.reset(np.random.default_rng(0))
             assert [stage(np.array([i]))[0] for i in range(5)] == [0, 0, 0, 1, 2]
 
 

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 from tactilerl.envs import hands, layouts, objects, touch
-from tactilerl.envs.state import State
 
+import states
 import tactile_sensors
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
@@ -43,7 +43,10 @@ def pressed(hand, taxels, kind, half, gap=-DEEP):
         for number, name in enumerate(taxels.links):
             own = taxels.link_index == number
             felt[own] = data.sensor(tactile_sensors.NAME + name).data[: own.sum()]
-        state = State(shape, at, turn, taxels.links, positions, rotations)
+        state = states.scene(
+            shape=shape, object_position=at, object_rotation=turn, links=taxels.links,
+            link_positions=positions, link_rotations=rotations,
+        )  # fmt: skip
         yield index, felt > 0, rule.read(state)
 
 

@@ -10,13 +10,18 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface
-from tactilerl.envs.state import Contacts, State
+from tactilerl.envs.state import Contacts
 from tactilerl.envs.taxel_files import Point
+
+import states
 
 
 def state(taxels, link_poses, shape, position, rotation):
     """An object, and the links of taxels with their positions and rotations."""
-    return State(shape, np.array(position), np.array(rotation), taxels.links, *link_poses)
+    return states.scene(
+        shape=shape, object_position=np.array(position), object_rotation=np.array(rotation),
+        links=taxels.links, link_positions=link_poses[0], link_rotations=link_poses[1],
+    )  # fmt: skip
 
 
 R, L = 0.01, 0.04  # of the one phalanx of a hand made for these tests: its bone along z
@@ -147,7 +152,7 @@ class TestForce:
 
     def test_a_reading_does_not_depend_on_other_taxels(self, simulator):
         env = envs.make("mpl", simulator=simulator, layout="1", touch_rule="force")
-        start = next(iter(scripted.perturbed_starts(env, 0, 1)))
+        start = scripted.perturbed_start(env, 0, 0)
         for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.3):
             together, state = env.taxel_readings(), env.simulator.state()
             alone = [
@@ -232,16 +237,18 @@ def pressed_on_palm(place):
         forces.append(force[0])
     figures = np.zeros(data.ncon, int), np.array(forces), np.tile([0.0, 0.0, 1.0], (data.ncon, 1))
     contacts = Contacts(data.contact.pos.copy(), *figures)
-    pose = data.xpos[1:2].copy(), data.xmat[1:2].reshape(1, 3, 3).copy()
-    shape, turn = objects.make("box", (0.04,)), data.xmat[2].reshape(3, 3)
-    now = State(shape, data.xpos[2].copy(), turn, ("palm",), *pose, contacts=contacts)
+    now = states.scene(
+        shape=objects.make("box", (0.04,)), object_position=data.xpos[2].copy(),
+        object_rotation=data.xmat[2].reshape(3, 3), links=("palm",), contacts=contacts,
+        link_positions=data.xpos[1:2].copy(), link_rotations=data.xmat[1:2].reshape(1, 3, 3).copy(),
+    )  # fmt: skip
     return (data.sensordata[0] if sensor else 0.0), now
 
 
 def total_force(simulator="mujoco", **choices):
     """All normal forces on the object in a scripted grasp of the MPL hand, N."""
     env = envs.make("mpl", simulator=simulator, **choices)
-    start = next(iter(scripted.perturbed_starts(env, 0, 1)))
+    start = scripted.perturbed_start(env, 0, 0)
     for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.3):
         pass
     force = env.simulator.state().contacts.forces.sum()

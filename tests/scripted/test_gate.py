@@ -8,7 +8,7 @@ from tactilerl import envs
 from tactilerl.commands.cli import main
 from tactilerl.envs.grasp import setup
 from tactilerl.scripted import gate, reflexes
-from tactilerl.scripted.gate import Found
+from tactilerl.scripted.gate import HandResult
 from tactilerl.scripted.reflexes import Reflex
 from tactilerl.terminal import flags
 
@@ -18,7 +18,9 @@ FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 
 
 def found(**rates):
-    return [Found(name, Reflex("time", 0, 1), rate, (0.0, 1.0), 100) for name, rate in rates.items()]
+    return [
+        HandResult(name, Reflex("time", 0, 1), rate, (0.0, 1.0), 100) for name, rate in rates.items()
+    ]
 
 
 @pytest.mark.parametrize(
@@ -96,7 +98,8 @@ def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_
 
 
 def test_touch_that_pays_at_all_thresholds():
-    assert gate.where_it_stops({0.1: 0.9, 0.0: 0.9}, 0.6).endswith("up to 0.1 N.")
+    sentence = gate.where_touch_stops({0.1: (0.9, 0.6), 0.0: (0.9, 0.6)})
+    assert sentence.endswith("up to 0.1 N.")
 
 
 def test_several_layouts():
