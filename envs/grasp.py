@@ -197,9 +197,8 @@ class GraspEnv(gym.Env[Any, Array]):
         if self.task.only_goal is not None:
             goal = self.task.only_goal.astype(np.float32)
             desired = gym.spaces.Box(goal, goal)
-        self.observation_space = gym.spaces.Dict(
-            observation=self._observer.space, achieved_goal=goals, desired_goal=desired
-        )
+        spaces = {"observation": self._observer.space, "achieved_goal": goals}
+        self.observation_space = gym.spaces.Dict({**spaces, "desired_goal": desired})
 
     def _palm_skin(self) -> Array:
         """Return the place (3,) on the palm's skin where objects are handed over."""

@@ -1,8 +1,8 @@
 """Define the two tasks of the paper, and handover: start, giver, goal, reward, success.
 
 A task owns all of that, its thresholds and its hold test. The environment calls `start` and `reset`
-when an episode begins, then `before_step` and `after_step` around each action. Rewards are pure functions of
-the achieved and the desired goal, so that hindsight relabelling can recompute them.
+when an episode begins, then `before_step` and `after_step` around each action. Rewards are pure
+functions of the achieved and the desired goal, so that hindsight relabelling can recompute them.
 """
 
 from __future__ import annotations

@@ -12,31 +12,7 @@ from .state import Array
 BOX = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
 
 
-class Toy(gym.Env[Any, Array]):
-    """A toy in the plane, which a picture shows as a point."""
-
-    side_by_side = "in turn"
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
-    n_actions: int
-    _place: Array
-
-    def __init__(self, render_mode: str | None = None) -> None:
-        """Make the toy; with `render_mode` "rgb_array", `render` returns pictures."""
-        self.render_mode = render_mode
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.n_actions,), np.float32)
-        self.observation_space: gym.Space[Any] = BOX
-
-    def render(self) -> Array | None:
-        """Return a picture (64, 64, 3) uint8 of a point in the square from -1 to 1."""
-        if self.render_mode is None:
-            return None
-        picture = np.full((64, 64, 3), 255, np.uint8)
-        column, row = np.clip((self._place + 1) * 32, 2, 61).astype(int)
-        picture[row - 2 : row + 3, column - 2 : column + 3] = 0
-        return picture
-
-
-class LQREnv(Toy):
+class LQREnv(gym.Env[Array, Array]):
     """Bring a double integrator to rest at the origin at the least quadratic cost.
 
     State (position, velocity), one force in [-1, 1], x' = A x + B a. The reward is
@@ -44,31 +20,37 @@ class LQREnv(Toy):
     optimal force stays inside its bounds, which the start box is chosen for.
     """
 
-    n_actions = 1
+    side_by_side = "in turn"
     A = np.array([[1.0, 0.1], [0.0, 1.0]])
     B = np.array([[0.005], [0.1]])
     Q = np.diag([1.0, 0.1])
     R = np.array([[0.5]])
     start = 0.3
-    """Starts are uniform in the box ±start."""
+    """Largest position and velocity at the start, which are uniform."""
     max_episode_steps = 60
+
+    def __init__(self) -> None:
+        """Make the spaces."""
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space = BOX
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Draw a start, and return it as the observation, and an empty info."""
         super().reset(seed=seed)
-        self._place, self._steps = self.np_random.uniform(-self.start, self.start, 2), 0
-        return self._place.astype(np.float32), {}
+        self._state = self.np_random.uniform(-self.start, self.start, 2)
+        self._steps = 0
+        return self._state.astype(np.float32), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Apply a force (1,)."""
         force = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        cost = self._place @ self.Q @ self._place + force @ self.R @ force
-        self._place = self.A @ self._place + self.B @ force
+        cost = self._state @ self.Q @ self._state + force @ self.R @ force
+        self._state = self.A @ self._state + self.B @ force
         self._steps += 1
         is_over = self._steps >= self.max_episode_steps
-        return self._place.astype(np.float32), -float(cost), False, is_over, {}
+        return self._state.astype(np.float32), -float(cost), False, is_over, {}
 
     @classmethod
     def optimal_return(cls, state: Array) -> float:
@@ -81,22 +63,23 @@ class LQREnv(Toy):
         return -float(state @ cost @ state)
 
 
-class PointReachEnv(Toy):
+class PointReachEnv(gym.Env[Any, Array]):
     """Move a point in the plane to a goal; a sparse goal environment (0 at the goal, else -1).
 
     Each step moves up to `speed` along each axis.
     """
 
-    n_actions = 2
+    side_by_side = "in turn"
     speed = 0.1
     tolerance = 0.08
     max_episode_steps = 25
 
-    def __init__(self, render_mode: str | None = None) -> None:
-        """Make the toy with the spaces of a goal environment."""
-        super().__init__(render_mode)
-        goals = {"achieved_goal": BOX, "desired_goal": BOX}
-        self.observation_space = gym.spaces.Dict({"observation": BOX, **goals})
+    def __init__(self) -> None:
+        """Make the spaces of a goal environment."""
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = gym.spaces.Dict(
+            {"observation": BOX, "achieved_goal": BOX, "desired_goal": BOX}
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -124,10 +107,8 @@ class PointReachEnv(Toy):
         self, achieved_goal: Array, desired_goal: Array, info: Any
     ) -> Array:
         """Return the rewards (...) of goals (..., 2)."""
-        distance = np.linalg.norm(
-            np.asarray(achieved_goal) - np.asarray(desired_goal), axis=-1
-        )
-        return (distance <= self.tolerance) - 1.0
+        offset = np.asarray(achieved_goal) - np.asarray(desired_goal)
+        return (np.linalg.norm(offset, axis=-1) <= self.tolerance) - 1.0
 
     def _obs(self) -> dict[str, Array]:
         point, goal = self._place.astype(np.float32), self._goal.astype(np.float32)
