@@ -93,7 +93,7 @@ def _hint(result: Design, path: Path, n: int) -> str:
 def _print(result: Design) -> None:
     """Print the tables, and how far they can be trusted."""
     pool = result.pool
-    flags_given, names = pool.flags, ", ".join(scene.name for scene in pool.scenes)
+    flags_given, names = pool.flags, ", ".join(pool.scenes)
     console.print(f"{names}: taxels for a hand that closes at the first touch")
     console.print(
         f"{len(pool.columns) - pool.n_existing} candidates; chosen from {flags_given.starts} starts of "
@@ -121,9 +121,6 @@ def _print(result: Design) -> None:
     if flags_given.taxel_threshold:
         uses = {force or 0.0: use[:2] for force, use in result.uses.items()}
         console.print(gate.where_touch_stops(uses))
-    if result.hopeless:
-        share = f"in {result.hopeless:.2f} of the starts"
-        console.print(f"{share} the hand fails, at whichever touch it closes")
     for row in result.rows:
         if row.chosen_from is not None:
             console.print(_bound(row, row.chosen_from))
@@ -169,8 +166,8 @@ def _bound(row: Row, reached: float) -> str:
 def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in the frames of the links."""
     table = Table("taxel", "link", "place, mm", "normal", "radius, mm")
-    columns = result.columns(max(result.chosen))
-    for point in result.pool.skin.taxels.take(columns).points:
+    columns = result.chosen[max(result.chosen)]
+    for point in result.pool.skin.take(columns).points:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
         normal = ", ".join(f"{value:.2f}" for value in point.normal)
         table.add_row(point.name, point.link, place, normal, f"{1e3 * point.radius:g}")

@@ -1,1 +1,1 @@
-"""Where a hand's few taxels go, before any training and without PyTorch."""
+"""Choose where a hand's few taxels go, before any training and without PyTorch."""

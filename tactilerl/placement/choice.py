@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import statistics
 from ..envs import layouts, validation
+from ..envs.grasp import GraspConfig
 from ..envs.layouts import Layout
 from ..pictures import places
 from ..scripted import gate
@@ -31,7 +33,7 @@ Tick = Callable[[], None]
 
 @dataclass(frozen=True)
 class Row:
-    """How good a set of taxels is, in starts from which none was chosen."""
+    """Say how good a set of taxels is, in starts from which none was chosen."""
 
     layout: str
     """A layout, "whole skin", "chosen", or "random": the mean of random sets."""
@@ -48,7 +50,7 @@ class Row:
     lost: str | None = None
     """The worst loss; None where no loss costs anything, and for random sets."""
     start_closing: float | None = None
-    """How far the hand is closed while it waits; None for as the scene has it."""
+    """Share by which the hand is closed while it waits; None for as the scene has it."""
     chosen_from: float | None = None
     """Success in the starts from which these taxels were chosen."""
     chosen_worst: float | None = None
@@ -56,85 +58,75 @@ class Row:
     bound: float | None = None
     """No set of as many has more of what they were chosen for in those; None where nobody knows."""
     difference: tuple[float, float, float] | None = None
-    """By how much success is above that of the best layout, and its 95 % interval."""
+    """Success less that of the best layout, and its 95 % interval."""
     threshold: float | None = None
     """Force from which a taxel fires, N; None for what the scene or the layout says."""
 
 
 class Use(NamedTuple):
-    """What touch has to win, in the starts to choose from."""
+    """Say what touch has to win, in the starts to choose from."""
 
     touch: float
     """Success of a hand that feels with all candidates."""
     blind: float
     """Success of the best scripted hand without touch."""
     sense: str
-    """What that goes by."""
+    """The sense of that hand."""
 
     @property
     def pays(self) -> bool:
-        """Whether touch wins enough for a design to tell anything."""
+        """True if touch wins enough for a design to tell anything."""
         return gate.pays(self.touch, self.blind)
 
 
 @dataclass(frozen=True)
 class Design:
-    """What was chosen, and how good it is."""
+    """Hold the taxels that were chosen, and say how good they are."""
 
     pool: Pool
     choice: ByWait
     """The starts to choose from."""
     test: ByWait
-    """Those on which everything is judged."""
+    """Other starts, on which everything is judged."""
     chosen: dict[int, list[int]]
-    """By number of taxels, indices in the pool, without those that were there already."""
-    hopeless: float
-    """Share of the starts in which the hand fails at whichever touch it closes."""
+    """Columns of the skin by number of taxels; those that the hand has already come on top."""
     best: str | None
-    """Of the layouts to compare with, the one with the most success."""
+    """The layout with the most success, of those to compare with."""
     rows: list[Row]
-    """For each threshold after the other."""
+    """Rows for each threshold after the other."""
     uses: dict[float | None, Use]
-    """What touch has to win, by threshold. The fields before `rows` are of the first."""
-
-    def columns(self, n: int) -> list[int]:
-        """Return which of the skin's taxels a hand with `n` chosen ones has, those that were there
-        already included."""
-        indices = sorted([*range(self.pool.n_existing), *self.chosen[n]])
-        return [self.pool.columns[index] for index in indices]
+    """Uses of touch, by threshold. The fields before `rows` are of the first."""
 
     def layout(self, n: int) -> Layout:
         """Return a layout of `n` taxels, and those that were there already."""
-        taxels = self.pool.skin.taxels.take(self.columns(n))
-        scenes = ", ".join(scene.name for scene in self.pool.scenes)
+        scenes = ", ".join(self.pool.scenes)
         about = f"{n} {'taxel' if n == 1 else 'taxels'} {MADE} for {scenes}"
         if survives := self.pool.flags.survives:
             about += f", to survive the loss of any {layouts.short(survives)}"
         if (closing := self.waits_at(n)) is not None:
             about += f", waiting {closing:g} closed"
+        taxels = self.pool.skin.take(self.chosen[n])
         return layouts.of_taxels(taxels, self.pool.hand, about)
 
     def waits_at(self, n: int) -> float | None:
-        """Return how far the hand with `n` taxels is closed while it waits; None for as the scene has
-        it."""
+        """Return the share by which the hand with `n` taxels is closed while it waits.
+
+        None stands for as the scene has it.
+        """
         rows = (row for row in self.rows if (row.layout, row.taxels) == ("chosen", n))
         return next(rows).start_closing
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        pool = self.pool
-        names = validation.names(DesignFlags) - {"workers"}
-        flags = {key: flag for key, flag in asdict(pool.flags).items() if key in names}
-        chosen = {n: places.of(pool.taxels.take(own)) for n, own in self.chosen.items()}
+        pool, names = self.pool, validation.names(DesignFlags) - {"workers"}
+        chosen = {n: pool.skin.take(taxels) for n, taxels in self.chosen.items()}
         return {
             "about": f"taxels {MADE}",
             "env": pool.env,
-            "simulator": pool.scenes[0].config.simulator,
-            "scenes": [scene.name for scene in pool.scenes],
-            "asking": flags,
+            "simulator": next(iter(pool.scenes.values())).simulator,
+            "asking": {name: getattr(pool.flags, name) for name in sorted(names)},
             "candidates": len(pool.columns) - pool.n_existing,
             "early": pool.early,
-            "hopeless": self.hopeless,
             "beside": self.best,
             "rows": [asdict(row) for row in self.rows],
             "uses": [
@@ -142,7 +134,8 @@ class Design:
                 for threshold, use in self.uses.items()
             ],
             "places": {
-                n: [asdict(place) for place in own] for n, own in chosen.items()
+                n: [asdict(place) for place in places.of(taxels)]
+                for n, taxels in chosen.items()
             },
         }
 
@@ -150,41 +143,73 @@ class Design:
 def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Design:
     """Choose taxels by which a hand succeeds that closes at the first touch.
 
-    `tick` is called after every start that is played. ValueError where nobody feels a start in time,
-    where touch cannot help, or for a scene in which nothing is handed over.
+    `tick` is called after every start that is played. Raise ValueError where touch cannot help, or for
+    a scene in which nothing is handed over.
     """
     pool = Pool.of(flags)
-    thresholds: tuple[float | None, ...] = flags.taxel_threshold or (None,)
     choices = _played(pool, CHOICE, flags.starts, workers, tick)
     # The same candidates for all ways to wait.
     pools = [
         pool.without(np.any([starts.early for starts in choice.values()], axis=0))
         for choice in choices
     ]
-    if not any(
-        starts.take(pool.columns).good.any()
-        for choice in choices
-        for starts in choice.values()
-    ):
-        raise ValueError("skin: no taxel feels any start in time; choose other places")
-    blind: dict[float | None, tuple[float, str]] = {}
-    uses = {
-        threshold: _use(choice, pool, workers, blind)
-        for threshold, choice, pool in zip(thresholds, choices, pools, strict=True)
-    }
+    blind, uses = cache(partial(_blind, pool, workers)), {}
+    for threshold, choice, each in zip(flags.thresholds, choices, pools, strict=True):
+        rates = {wait: cover.value(choice[wait], each.columns) for wait in choice}
+        wait = max(rates, key=rates.__getitem__)
+        uses[threshold] = Use(rates[wait], *blind(wait))
     best = max(uses.values(), key=lambda use: use.touch - use.blind)
     if not best.pays:
         raise ValueError(
             f"scene: touch cannot help here: a hand that goes by {best.sense} succeeds in "
-            f"{best.blind:.2f} of the starts, one that feels with the whole skin in {best.touch:.2f}"
+            f"{best.blind:.2f} of the starts, one that feels with all candidates in {best.touch:.2f}"
         )
     tests = _played(pool, TEST, flags.test_starts, workers, tick)
     designs = [
         _judged(*parts, uses)
-        for parts in zip(thresholds, pools, choices, tests, strict=True)
+        for parts in zip(flags.thresholds, pools, choices, tests, strict=True)
     ]
-    rows = [row for one in designs for row in one.rows]
-    return replace(designs[0], rows=rows)
+    return replace(designs[0], rows=[row for each in designs for row in each.rows])
+
+
+def _blind(pool: Pool, workers: int, wait: float | None) -> tuple[float, str]:
+    """Return the success of the best scripted hand without touch, and its sense."""
+    n, rate, senses = min(pool.flags.starts, 100), 0.0, dict[str, None]()
+    for scene in pool.scenes.values():
+        hands = gate.examine(
+            pool.env, waiting(scene, wait), n, max(1, n // 20), 0, workers,
+            senses=("joints", "sight"),
+        )  # fmt: skip
+        best = gate.without_touch(hands)
+        rate += best.rate / len(pool.scenes)
+        senses[best.name] = None
+    return rate, " or ".join(senses)
+
+
+def waiting(scene: GraspConfig, wait: float | None) -> GraspConfig:
+    """Return a scene with a hand that is so far closed while it waits; None for as it is."""
+    return scene if wait is None else replace(scene, start_closing=wait)
+
+
+def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[ByWait]:
+    """Play `n` starts of each scene with the whole skin, for each way to wait.
+
+    Return them for each threshold.
+    """
+    flags = pool.flags
+    first += 2 * gate.SEARCH * flags.seed
+    played: list[ByWait] = [{} for _ in flags.thresholds]
+    for wait in flags.waits:
+        parts = [
+            record(
+                pool.env, waiting(scene, wait), pool.skin, range(first, first + n), workers,
+                tick, flags.thresholds,
+            )
+            for scene in pool.scenes.values()
+        ]  # fmt: skip
+        for by_wait, of_scenes in zip(played, zip(*parts, strict=True), strict=True):
+            by_wait[wait] = Starts.joined(of_scenes)
+    return played
 
 
 def _judged(
@@ -199,45 +224,24 @@ def _judged(
     rows = [judge.row(name, columns) for name, columns in pool.references.items()]
     best = max(rows, key=lambda row: row.success).layout if rows else None
     rows.append(judge.row("whole skin", pool.columns))
-    chosen: dict[int, list[int]] = {}
+    chosen = {}
     for n in pool.flags.numbers:
         picked = _choose(choice, pool, n)
-        chosen[n] = [i for i in picked.taxels if i >= pool.n_existing]
-        columns = [pool.columns[i] for i in picked.taxels]
+        columns = chosen[n] = [pool.columns[i] for i in picked.taxels]
         row = replace(
             judge.row("chosen", columns),
             taxels=n,
             chosen_from=picked.value,
             chosen_worst=picked.worst if pool.flags.survives else None,
             bound=picked.bound,
+            difference=judge.difference(columns, pool.references[best])
+            if best
+            else None,
         )
-        if best:
-            difference = judge.difference(columns, pool.references[best])
-            row = replace(row, difference=difference)
         rng = np.random.default_rng([pool.flags.seed, n])
         rows += [row, judge.random(n, rng)]
     rows = [replace(row, threshold=threshold) for row in rows]
-    return Design(pool, choice, test, chosen, judge.hopeless, best, rows, uses)
-
-
-def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[ByWait]:
-    """Play `n` starts of each scene with the whole skin, for each way to wait; return them for each
-    threshold."""
-    first += 2 * gate.SEARCH * pool.flags.seed
-    numbers = range(first, first + n)
-    thresholds = pool.flags.taxel_threshold or (None,)
-    played: list[ByWait] = [{} for _ in thresholds]
-    for wait in pool.flags.start_closing or (None,):
-        parts = [
-            record(
-                pool.env, scene.waiting(wait), pool.skin, numbers, workers, tick,
-                thresholds,
-            )
-            for scene in pool.scenes
-        ]  # fmt: skip
-        for by_wait, of_scenes in zip(played, zip(*parts, strict=True), strict=True):
-            by_wait[wait] = Starts.joined(of_scenes)
-    return played
+    return Design(pool, choice, test, chosen, best, rows, uses)
 
 
 def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
@@ -259,10 +263,13 @@ def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
 
 
 class Judge:
-    """Says what sets of taxels win in starts from which none of them was chosen. A set waits as suited
-    it best in those to choose from."""
+    """Say what sets of taxels win in starts from which none of them was chosen.
+
+    A set waits as suited it best in those to choose from.
+    """
 
     def __init__(self, choice: ByWait, test: ByWait, pool: Pool) -> None:
+        """Take starts to choose from and to judge on, and what may be lost."""
         self._choice, self._test, self._pool = choice, test, pool
         self._losses = pool.losses.members
         rng, n_scenes = np.random.default_rng(0), len(pool.scenes)
@@ -272,19 +279,13 @@ class Judge:
         self._counts = np.vstack(counts)
 
     def wait(self, taxels: Sequence[int]) -> float | None:
-        """Return how far the hand is closed meanwhile; None for as the scene has it."""
+        """Return the share by which the hand is closed meanwhile; None for as the scene has it."""
         losses = self._losses if self._pool.flags.survives else self._losses[:0]
         scores = {
             wait: round(cover.score(starts, taxels, losses), 12)
             for wait, starts in self._choice.items()
         }
         return max(scores, key=scores.__getitem__)
-
-    @property
-    def hopeless(self) -> float:
-        """Share of the starts in which the hand fails at whichever touch it closes."""
-        can = [starts.succeeds.any(axis=1) for starts in self._test.values()]
-        return float(1.0 - np.any(can, axis=0).mean())
 
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
         """Return success, with its interval, share felt, and the same after the worst loss."""
@@ -312,8 +313,7 @@ class Judge:
         return Row("random", n, *means.tolist())
 
     def difference(self, a: Sequence[int], b: Sequence[int]) -> statistics.Estimate:
-        """Return by how much the success of `a` is above that of `b` in the same starts, with its
-        interval."""
+        """Return the success of `a` less that of `b` in the same starts, with its interval."""
         won = [
             cover.successes(self._test[self.wait(taxels)], taxels).astype(float)
             for taxels in (a, b)
@@ -336,26 +336,3 @@ def drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
         if len(taxels) < pool.n_existing + n and not pool.overlap[taxel, taxels].any():
             taxels.append(int(taxel))
     return [pool.columns[taxel] for taxel in taxels]
-
-
-def _use(
-    choice: ByWait,
-    pool: Pool,
-    workers: int,
-    blind: dict[float | None, tuple[float, str]],
-) -> Use:
-    """Return what touch has to win, for a hand that waits as suits all candidates best. `blind` keeps
-    what hands without touch win, by how they wait."""
-    wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.columns))
-    if wait not in blind:
-        n, rate, senses = min(pool.flags.starts, 100), 0.0, dict[str, None]()
-        for scene in pool.scenes:
-            hands = gate.examine(
-                pool.env, scene.waiting(wait), n, max(1, n // 20), 0, workers,
-                senses=("joints", "sight"),
-            )  # fmt: skip
-            best = max(hands, key=lambda hand: hand.rate)
-            rate += best.rate / len(pool.scenes)
-            senses[best.name] = None
-        blind[wait] = rate, " or ".join(senses)
-    return Use(cover.value(choice[wait], pool.columns), *blind[wait])

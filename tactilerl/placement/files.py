@@ -1,4 +1,4 @@
-"""What a design leaves: layout files, a picture, and in a folder a page and JSON."""
+"""Write what a design leaves: layout files, a picture, and in a folder a page and JSON."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def write(design: Design, out: Path) -> list[Path]:
 def _picture(design: Design) -> bytes:
     """Return a PNG of the unrolled hand with all candidates, the largest chosen set lit."""
     pool, file = design.pool, io.BytesIO()
-    chosen = design.columns(max(design.chosen))
-    drawn = TaxelMap(pool.hand, pool.taxels, PIXELS)
+    chosen = design.chosen[max(design.chosen)]
+    drawn = TaxelMap(pool.hand, pool.skin.take(pool.columns), PIXELS)
     save_picture(drawn.picture(np.isin(pool.columns, chosen)), file, ".png")
     return file.getvalue()

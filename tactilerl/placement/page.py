@@ -37,8 +37,8 @@ def page(design: Design) -> bytes:
 
 def _data(design: Design) -> dict[str, Any]:
     """Return what the page has to know, which design.html reads."""
-    pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin.taxels
-    scene, drawn = pool.scenes[0].config.simulator, TaxelMap(hand, taxels, 100)
+    pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin
+    drawn, simulator = TaxelMap(hand, taxels, 100), design.as_dict()["simulator"]
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
     dots = []
     for index, place in enumerate(places.of(taxels)):
@@ -60,8 +60,8 @@ def _data(design: Design) -> dict[str, Any]:
         )
     losses = zip(pool.losses.names, pool.losses.members, strict=True)
     return {
-        "title": f"{hand_name} in {NAMES.get(scene, scene)}: "
-        + ", ".join(scene.name for scene in pool.scenes),
+        "title": f"{hand_name} in {NAMES.get(simulator, simulator)}: "
+        + ", ".join(pool.scenes),
         "panels": [
             [
                 panel.x - panel.half_width - EDGE,
@@ -89,14 +89,13 @@ def _data(design: Design) -> dict[str, Any]:
         "loss": layouts.short(pool.flags.survives or "taxel"),
         "losses": [[name, np.flatnonzero(lost).tolist()] for name, lost in losses],
         "rows": [asdict(row) for row in design.rows],
-        "sets": {n: design.columns(n) for n in design.chosen},
+        "sets": design.chosen,
         "layouts": pool.references,
     }
 
 
 def _starts(starts: Starts) -> dict[str, Any]:
-    """Return when each taxel fires in each start, at which moments closing succeeds, and when the
-    object is let go."""
+    """Return when each taxel fires, when closing succeeds, and when the object is let go."""
     return {
         "fires": starts.fires.tolist(),
         "succeeds": [np.flatnonzero(row).tolist() for row in starts.succeeds],

@@ -111,12 +111,10 @@ def design(request):
         scene=("handover",), skin="6mm", survives=request.param, start_closing=(0.2, 0.3)
     )
     pool, rng = Pool.of(flags), np.random.default_rng(0)
-    recorded = [
-        {wait: played(rng, len(pool.skin.taxels)) for wait in flags.start_closing} for _ in range(2)
-    ]
+    recorded = [{wait: played(rng, len(pool.skin)) for wait in flags.start_closing} for _ in range(2)]
     judge = choice.Judge(*recorded, pool)
     rows = [judge.row("chosen", pool.columns[:3])]
-    return choice.Design(pool, *recorded, {3: [0, 1, 2]}, 0.0, None, rows, {}), judge
+    return choice.Design(pool, *recorded, {3: pool.columns[:3]}, None, rows, {}), judge
 
 
 @pytest.fixture
@@ -150,7 +148,7 @@ class TestPage:
         assert browser.own()["success"] == pytest.approx(cover.value(starts, taxels[1:]))
         text = browser.run("layoutFile()")
         saved = layouts.load(text).place(design.pool.hand)
-        assert {*saved.names} == {design.pool.skin.taxels.names[taxel] for taxel in taxels}
+        assert {*saved.names} == {design.pool.skin.names[taxel] for taxel in taxels}
 
     @pytest.mark.parametrize("browser", [390], indirect=True)
     def test_on_a_phone_by_keyboard_and_for_weak_eyes(self, design, browser):
