@@ -4,13 +4,12 @@ To follow a hand from its file to a scene, read `hand` (what the rest of the lib
 `model_file` (MJCF and URDF as published), `mount` (the model on slides, with servos), `parts` (the
 TOML file and what of the model it means), `geometry` and `surfaces` (where taxels may lie),
 `hand_file` (all of it together) and `checks`. `guess` writes the file of a bare model, `sandbox` reads
-in a process of its own, `tactile` exports taxels as MuJoCo's sensors.
+in a process of its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +68,12 @@ class Usage:
 
 
 def is_hand(name: str) -> bool:
-    """Return whether it is the name of a hand of the library or of a module, or of anybody's file."""
+    """Return whether this names a hand of the library or of a module, or is anybody's file."""
     return name in names() or name.endswith(SUFFIX)
 
 
 def names() -> list[str]:
-    """Return hands that can be asked for by name."""
+    """Return the names of all hands that have one."""
     return [*HANDS, *OTHERS]
 
 
@@ -93,42 +92,45 @@ def file(name: str) -> Path:
 
 
 def usage(name: str) -> Usage:
-    """Return what a hand's file says of its scenes; ValueError and FileNotFoundError where the file is
-    wrong."""
+    """Return the values that a hand's file has for its scenes.
+
+    Raises ValueError and FileNotFoundError where the file is wrong.
+    """
     path = file(name)
     with validation.blamed(f"hand file {path}"):
         data = validation.read(path, "hand file")
-        about = validation.table(data, "environment", {"id", "closing"})
-        about.pop("closing", None)  # of 0.4.0, which nothing reads any more
+        environment = validation.table(data, "environment", {"id", "closing"})
+        environment.pop("closing", None)  # of 0.4.0, which nothing reads any more
         scene = validation.table(data, "scene")
-        return validation.fill(Usage, {**about, "scene": scene}, "environment")
+        return validation.fill(Usage, {**environment, "scene": scene}, "environment")
 
 
 def digest(name: str) -> str:
-    """Return a digest of the files of anybody's own hand, of its meshes too.
+    """Return a digest of the files of anybody's own hand, its meshes too.
 
-    ValueError and OSError where they cannot be read.
+    Raises ValueError and OSError where they cannot be read.
     """
     return short_digest(file(name).read_bytes(), *get(name).build.files)
 
 
 def get(name: str) -> Hand:
-    """Return the hand of this name or file. ValueError or FileNotFoundError saying what is wrong with
-    its file or model, ImportError where the package that has the model is not installed.
+    """Return the hand of this name or file.
 
-    Anybody's own hand is read once, as long as its files stay as they are, in a process of its own.
+    It is read once, as long as its files stay as they are; anybody's own in a process of its own.
+
+    Raises ValueError or FileNotFoundError saying what is wrong with its file or model, and ImportError
+    where the package that has the model is not installed.
     """
-    path = file(name)
-    if path.parent == FOLDER:
-        return _packaged(path)
+    path = file(name).absolute()
     if not path.is_file():
         raise FileNotFoundError(f"hand file {name!r} does not exist")
-    path = path.absolute()
     if path not in _read or _read[path][0] != _state(path, _read[path][1]):
         from . import hand_file, sandbox
 
         with validation.blamed(f"hand file {name}"):
-            hand = sandbox.call(hand_file.load, path)
+            is_ours = path.parent == FOLDER
+            load = hand_file.load
+            hand = load(path) if is_ours else sandbox.call(load, path)
         _read[path] = _state(path, hand), hand
     return _read[path][1]
 
@@ -139,12 +141,5 @@ _read: dict[Path, tuple[list[Any], Hand]] = {}
 def _state(path: Path, hand: Hand) -> list[Any]:
     """Return what changes when a file of a hand does, or a grasp is kept beside it."""
     files = [path, *hand.build.files, path.with_suffix(KEPT)]
-    looks = [file.stat() if file.exists() else None for file in files]
-    return [look and (look.st_size, look.st_mtime_ns) for look in looks]
-
-
-@cache
-def _packaged(path: Path) -> Hand:
-    from . import hand_file
-
-    return hand_file.load(path)
+    states = [file.stat() if file.exists() else None for file in files]
+    return [state and (state.st_size, state.st_mtime_ns) for state in states]

@@ -1,12 +1,11 @@
-"""Geometry of links: their shapes, where one meets their skin, how far they are from an object, and
-where a model's parts are when it is posed.
+"""Geometry of links: their shapes, their skin, their distance from an object, and where they are.
 
 A mesh counts as its convex hull, which is what the simulators collide.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import product
@@ -33,9 +32,11 @@ class Geom(NamedTuple):
     kind: str
     """One of KINDS."""
     size: tuple[float, ...]
-    """MuJoCo's three."""
+    """The three numbers of MuJoCo's `size`, m."""
     position: tuple[float, ...]
+    """(3,), m."""
     rotation: tuple[tuple[float, ...], ...]
+    """(3, 3)."""
     corners: tuple[tuple[float, ...], ...]
     """Corners of a mesh's convex hull, or of the box around another shape, in the geom's frame, m."""
 
@@ -47,7 +48,7 @@ class Geom(NamedTuple):
 
 
 def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
-    """Return what collides of a body; ValueError for a shape that no link has."""
+    """Return the geoms of a body that collide; ValueError for a shape that no link has."""
     shapes = []
     for geom in colliding(model, link):
         kind = mujoco.mjtGeom(geom.type[0]).name.removeprefix("mjGEOM_").lower()
@@ -73,18 +74,19 @@ def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
 
 
 def colliding(model: mujoco.MjModel, body: int | str) -> list[Any]:
-    """Return the geoms of a body that collide."""
-    about = model.body(body)
-    first = int(about.geomadr[0])
-    geoms = map(model.geom, range(first, first + int(about.geomnum[0])))
+    """Return the geoms of a body that collide, as MuJoCo's views of them."""
+    number = model.body(body).id
+    geoms = map(model.geom, np.flatnonzero(model.geom_bodyid == number).tolist())
     return [geom for geom in geoms if geom.contype[0] or geom.conaffinity[0]]
 
 
 def meet(
     geoms: tuple[Geom, ...], above: Array, direction: Array
 ) -> tuple[Array, Array] | None:
-    """Return where one comes upon the geoms from outside, on the line through `above` (3,) along
-    `direction`, and the outward normal there; None when one passes."""
+    """Return where a ray from outside meets the geoms, and the outward normal there, each (3,).
+
+    The ray goes through `above` (3,) along `direction` (3,). None where it misses them.
+    """
     if not geoms:
         return None
     start = above - FAR * direction
@@ -95,7 +97,8 @@ def meet(
 class Distances:
     """MuJoCo's own distances (mj_geomDistance) between geoms that ride on links and an object."""
 
-    def __init__(self, geoms: list[Geom]) -> None:
+    def __init__(self, geoms: Sequence[Geom]) -> None:
+        """Put the geoms of links, each in the frame of its link, beside an object of each shape."""
         spec = mujoco.MjSpec()
         for number, geom in enumerate(geoms):
             quaternion, name = np.zeros(4), f"mesh{number}"
@@ -122,26 +125,30 @@ class Distances:
         self, geom: int, position: Array, rotation: Array, shape: Shape, centre: Array, turn: Array,
         reach: float,
     ) -> bool:  # fmt: skip
-        """Return whether a geom, whose link has this pose, is no further than `reach` m from an object
-        with that."""
+        """Return whether a geom is within `reach` m of an object.
+
+        `position` (3,) and `rotation` (3, 3) are of the geom's link, `centre` and `turn` of the object.
+        """
         model, data = self._model, self._data
         x, _, z = shape.half_size
-        thing = model.geom(shape.kind).id
-        model.geom_size[thing] = (
+        item = model.geom(shape.kind).id
+        model.geom_size[item] = (
             (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
         )
-        model.geom_rbound[thing] = float(np.linalg.norm(shape.half_size))
-        data.geom_xpos[thing], data.geom_xmat[thing] = centre, turn.ravel()
+        model.geom_rbound[item] = float(np.linalg.norm(shape.half_size))
+        data.geom_xpos[item], data.geom_xmat[item] = centre, turn.ravel()
         place, axes = self._places[0][geom], self._places[1][geom].reshape(3, 3)
         data.geom_xpos[geom] = position + rotation @ place
         data.geom_xmat[geom] = (rotation @ axes).ravel()
         return bool(
-            mujoco.mj_geomDistance(model, data, geom, thing, 2 * reach, None) <= reach
+            mujoco.mj_geomDistance(model, data, geom, item, 2 * reach, None) <= reach
         )
 
     def along(self, start: Array, direction: Array) -> tuple[float, Array]:
-        """Return how far a ray goes to the geoms where they are on their link, m, -1 where it passes;
-        and the normal (3,) there."""
+        """Return the length of a ray to the geoms on their link, m, and the normal (3,) there.
+
+        The length is -1 where the ray misses them.
+        """
         normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
         away = mujoco.mj_ray(
             self._model, self._data, start, direction, group, True, -1, None, normal
@@ -149,28 +156,32 @@ class Distances:
         return float(away), normal
 
     def nearest(self, candidates: list[int], point: Array) -> tuple[int, float]:
-        """Return which of these geoms of a link is nearest to a point (3,) in its frame, and how near,
-        m."""
+        """Return the geom that is nearest to a point (3,) of its link, and its distance, m."""
         model, data = self._model, self._data
-        thing = model.geom("sphere").id
-        model.geom_size[thing] = model.geom_rbound[thing] = 1e-6
-        data.geom_xpos[thing] = point
+        item = model.geom("sphere").id
+        model.geom_size[item] = model.geom_rbound[item] = 1e-6
+        data.geom_xpos[item] = point
         for places, poses in zip(
             self._places, (data.geom_xpos, data.geom_xmat), strict=True
         ):
             poses[candidates] = places[candidates]
         away = [
-            mujoco.mj_geomDistance(model, data, geom, thing, FAR, None)
+            mujoco.mj_geomDistance(model, data, geom, item, FAR, None)
             for geom in candidates
         ]
         best = int(np.argmin(away))
         return candidates[best], float(away[best])
 
 
+_distances = lru_cache(maxsize=64)(Distances)
+
+
 def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
-    """Return how far a point (3,) is outside of all geoms of a link, m, negative within; and the
-    outward normal (3,) of the nearest one's skin, zeros where there is none, as in the middle of a
-    sphere."""
+    """Return the distance of a point (3,) to all geoms of a link, and the normal of the nearest.
+
+    The distance is in m, negative inside. The outward normal (3,) is zero where there is none, as in
+    the middle of a sphere.
+    """
 
     def away(place: Array) -> float:
         return _distances(geoms).nearest(list(range(len(geoms))), place)[1]
@@ -178,11 +189,6 @@ def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
     steps = STEP * np.eye(3)
     slope = np.array([away(point + step) - away(point - step) for step in steps])
     return away(point), slope / max(float(np.linalg.norm(slope)), 1e-12)
-
-
-@lru_cache(maxsize=64)
-def _distances(geoms: tuple[Geom, ...]) -> Distances:
-    return Distances(list(geoms))
 
 
 # -- models that are posed ----------------------------------------------------------------
@@ -198,7 +204,7 @@ def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:
 
 
 def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
-    """Return where a point (3,) in a link's frame is, m."""
+    """Return the place (3,) in the world of a point (3,) in a link's frame, m."""
     body = data.body(link)
     return np.asarray(body.xpos + body.xmat.reshape(3, 3) @ point)
 
@@ -206,8 +212,10 @@ def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
 def gap(
     model: mujoco.MjModel, data: mujoco.MjData, first: int | str, second: int | str
 ) -> float:
-    """Return how far what collides of two bodies is apart, m, at most FAR; negative where they are in
-    each other."""
+    """Return the distance between what collides of two bodies, m, at most FAR.
+
+    It is negative where they are in each other.
+    """
     distances = [
         mujoco.mj_geomDistance(model, data, a.id, b.id, FAR, None)
         for a in colliding(model, first)
@@ -225,7 +233,7 @@ def unit(direction: Any, where: str) -> Array:
 
 
 def beside(direction: Array, other: Array) -> Array:
-    """Return what of a unit vector is at right angles to another, of length 1."""
+    """Return the part of a unit vector at right angles to another one, at unit length."""
     along = float(direction @ other)
     if abs(along) < 1e-9:
         return direction

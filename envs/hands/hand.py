@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -41,7 +40,7 @@ class Surface:
     """
 
     digit: str
-    """Which; for the palm, the finger whose base it is, or "palm"."""
+    """Name of the digit; for the palm, of the finger whose base it is, or "palm"."""
     segment: str
     """Segment of the digit, or "palm"."""
     link: str
@@ -62,12 +61,11 @@ class Surface:
     """Half the length and half the width of a surface that is no cylinder, m."""
 
     def place(self, row: float, column: float) -> tuple[Array, Array]:
-        """Return position and outward normal in the link frame, each (3,), of a taxel.
+        """Return position (3,), m, and outward normal (3,) of a taxel, in the link's frame.
 
-        It is `row` and `column` metres off centre.
-
-        The flat grid is projected on to the link along the palmar normal, so that the paper's
-        pitches hold in the plane they are given in. Raises ValueError when that lies beside the link.
+        It lies `row` and `column` metres off the grid's middle. The flat grid is projected on to the
+        link along the palmar normal, so that the paper's pitches hold in the plane they are given in.
+        Raises ValueError when that lies beside the link.
         """
         palmar = np.array(self.palmar)
         above = (
@@ -78,26 +76,21 @@ class Surface:
 
             if met := meet(self.geoms, above, -palmar):
                 return met
-            raise ValueError(
-                f"a taxel {1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside the middle of "
-                f"{self.digit}.{self.segment} lies beside the link: found nothing there, allowed "
-                f"±{1e3 * self.extent[0]:.1f} mm along and ±{1e3 * self.extent[1]:.1f} mm beside"
-            )
-        if self.radius is None:
+        elif self.radius is None:
             return above, palmar
-        if abs(column) > self.radius + 1e-9:  # its very edge, in mm, is not exact in m
-            raise ValueError(
-                f"a taxel {1e3 * abs(column):.1f} mm off the middle of {self.digit}.{self.segment} "
-                f"lies beside the phalanx: found |column| {1e3 * abs(column):.1f} mm, "
-                f"allowed up to its radius, {1e3 * self.radius:.1f} mm"
-            )
-        height = np.sqrt(max(0.0, self.radius**2 - column**2))
-        return above + height * palmar, (
-            column * self.across + height * palmar
-        ) / self.radius
+        elif abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact
+            height = np.sqrt(max(0.0, self.radius**2 - column**2))
+            outward = column * self.across + height * palmar
+            return above + height * palmar, outward / self.radius
+        low, high, half_width = (1e3 * end for end in self.span)
+        raise ValueError(
+            f"a taxel on {self.digit}.{self.segment} lies beside the link: found "
+            f"{1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside its middle, allowed "
+            f"{low:.1f} to {high:.1f} mm along and up to {half_width:.1f} mm beside"
+        )
 
     def is_gap(self, row: float, column: float) -> bool:
-        """Return whether a link of any shape has nothing there. (No taxel may be beside others.)"""
+        """Return whether a link of any shape has nothing there; False for capsules and planes."""
         try:
             self.place(row, column)
         except ValueError:
@@ -116,8 +109,10 @@ class Surface:
         return float(row), float(column), float(height)
 
     def skin(self, point: Array) -> tuple[float, Array]:
-        """Return how far a point (3,) in the link frame is outside of the skin, m, negative within, and
-        the outward normal (3,) there."""
+        """Return the distance of a point (3,) of the link to the skin, and the normal (3,) there.
+
+        The distance is in m, negative inside of the link; the normal points outward.
+        """
         if self.geoms:
             from .geometry import outside
 
@@ -125,10 +120,9 @@ class Surface:
         if self.bone is None or self.radius is None:
             return self.offset(point)[2], np.array(self.palmar)
         begin, end = np.array(self.bone)
-        share = np.clip(
-            (point - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0
-        )
-        away = point - begin - share * (end - begin)
+        bone = end - begin
+        share = np.clip((point - begin) @ bone / (bone @ bone), 0.0, 1.0)
+        away = point - begin - share * bone
         length = float(np.linalg.norm(away))
         normal = away / length if length > 0 else np.array(self.palmar)
         return length - self.radius, normal
@@ -169,16 +163,15 @@ class LinearAction:
         return self.centre + action * self.half_range
 
     def commands(self, joint_targets: Array) -> Array:
-        """Return what each action has asked for last: the targets themselves."""
+        """Return the last value that each action commanded: the targets themselves."""
         return joint_targets
 
 
 @dataclass(frozen=True)
 class ClosingAction:
-    """Increments "in relation to the current position and within the limits" (paper, PyBullet
-    set-up): the slides move, where they are actions, and groups of joints go along their closing
-    trajectories.
+    """Increments "in relation to the current position and within the limits" (paper, PyBullet set-up).
 
+    The slides move, where they are actions, and groups of joints go along their closing trajectories.
     The position is the one last asked for, not the one reached: a finger that the object stops is
     asked for more with each increment and presses the harder, up to its force limit. From the
     position reached, any small step back would let go.
@@ -187,7 +180,7 @@ class ClosingAction:
     slide_step: Array
     """(3,) how far an action of 1 moves each slide's target, m; (0,) where no slide is an action."""
     slide_limits: Array
-    """(3, 2) lowest and highest target of each slide, m; (0, 2) likewise."""
+    """(3, 2) lowest and highest target of each slide, m; (0, 2) where no slide is an action."""
     closing_step: float
     """Share of the way from open to closed by which an action of 1 closes a group."""
     groups: tuple[Array, ...]
@@ -200,40 +193,27 @@ class ClosingAction:
     def __call__(self, action: Array, joint_targets: Array) -> Array:
         """Return new joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
         targets, n_slides = joint_targets.copy(), len(self.slide_step)
-        moved = targets[:n_slides] + self.slide_step * action[:n_slides]
-        targets[:n_slides] = np.clip(
-            moved, self.slide_limits[:, 0], self.slide_limits[:, 1]
-        )
-        _, members, group = self._indices
-        closing = np.clip(
-            self._closing(targets) + self.closing_step * action[n_slides:], 0.0, 1.0
-        )
-        targets[members] = (
-            self.open[members] + closing[group] * (self.closed - self.open)[members]
-        )
+        slides = targets[:n_slides] + self.slide_step * action[:n_slides]
+        targets[:n_slides] = np.clip(slides, *self.slide_limits.T)
+        closing = self._closing(targets) + self.closing_step * action[n_slides:]
+        way = self.closed - self.open
+        for group, share in zip(self.groups, np.clip(closing, 0.0, 1.0), strict=True):
+            targets[group] = self.open[group] + share * way[group]
         return targets
 
     def commands(self, joint_targets: Array) -> Array:
-        """Return what each action has asked for last: the slides' targets, m, and how far each group is
-        to be closed."""
-        return np.concatenate(
-            [joint_targets[: len(self.slide_step)], self._closing(joint_targets)]
-        )
+        """Return the last value that each action commanded.
+
+        These are the slides' targets, m, and how far each group is to be closed, from 0 to 1.
+        """
+        slides = joint_targets[: len(self.slide_step)]
+        return np.concatenate([slides, self._closing(joint_targets)])
 
     def _closing(self, targets: Array) -> Array:
-        first, way = self._indices[0], self.closed - self.open
+        """Return how far each group is closed, by the first of its actuators that moves."""
+        way = self.closed - self.open
+        first = [group[way[group] != 0][0] for group in self.groups]
         return np.asarray((targets[first] - self.open[first]) / way[first])
-
-    @cached_property
-    def _indices(self) -> tuple[Array, Array, Array]:
-        """The first actuator of each group that moves; all in groups; and the group of each."""
-        sizes, way = [len(group) for group in self.groups], self.closed - self.open
-        first = np.array([group[way[group] != 0][0] for group in self.groups])
-        return (
-            first,
-            np.concatenate(self.groups),
-            np.repeat(np.arange(len(sizes)), sizes),
-        )
 
 
 class Point(NamedTuple):
@@ -243,7 +223,7 @@ class Point(NamedTuple):
     position: tuple[float, ...]
     """(3,), m."""
     normal: tuple[float, ...]
-    """(3,), unit, outward; () until it is placed, where that of the nearest skin is meant."""
+    """(3,), unit, outward; () stands for that of the nearest skin until the taxel is placed."""
     radius: float
     """Radius of its sensing sphere, m."""
     name: str
@@ -251,7 +231,7 @@ class Point(NamedTuple):
     """Force from which it fires, N; None: any touch."""
 
     def toml(self) -> list[str]:
-        """Return lines of a layout file."""
+        """Return the lines of a layout file that describe the taxel."""
         values = {"name": self.name, **self._asdict()}.items()
         given = [(key, value) for key, value in values if value not in ((), None)]
         texts = [f"{key} = {quoted(value)}" for key, value in given]
@@ -259,7 +239,7 @@ class Point(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A body of the model, which may be part of a link: its place in that link's frame."""
+    """The place of a body of the model in the frame of its link, of which it may be a part."""
 
     link: str
     turn: Array = np.eye(3)
@@ -284,10 +264,11 @@ class Coupling(NamedTuple):
     ratio: float
     offset: float = 0.0
     is_rigid: bool = False
-    """True by an equality: it follows where its driver is; by a tendon, where that is to be."""
+    """True for an equality, which follows the driver's position; False for a tendon, which follows its
+    target."""
 
     def at(self, driver: float) -> float:
-        """Return its position where its driver is there."""
+        """Return the joint's position where its driver has this one."""
         return self.ratio * driver + self.offset
 
 
@@ -302,7 +283,7 @@ class ScriptedGrasp:
 
 
 class HandModel(Protocol):
-    """Builds the hand of a scene."""
+    """Build the hand of a scene."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -322,8 +303,7 @@ class Hand:
 
     name: str
     build: HandModel
-    """(with visual meshes?, gain of the finger actuators relative to the model's) -> model
-    of the hand alone: no ground, no object, no taxels."""
+    """Function that returns the model of the hand alone: no ground, no object, no taxels."""
     joints: tuple[str, ...]
     """Joints in the order of the observation."""
     actuators: tuple[str, ...]
@@ -377,39 +357,33 @@ class Hand:
     """Fingers at whose bases no object is handed over: it comes to the middle of the others'."""
 
     def closing_from(self, start: float, actions: str) -> Hand:
-        """Return the hand with slides that stand still and fingers that close and open, from where they
-        are `start` of the way from open to closed: all by one action ("grip") or group by group
-        ("fingers")."""
-        action, names = (
-            self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP),
-            tuple(self.groups),
-        )
+        """Return the hand with slides that stand still and fingers that close and open.
+
+        They begin at `start`, a share of the way from open to closed. One action closes all of them
+        ("grip"), or one each group ("fingers").
+        """
+        action = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP)
+        names, groups = tuple(self.groups), action.groups
+        if actions == "grip":
+            names, groups = ("closing of the hand",), (np.concatenate(groups),)
         opened = action.open + start * (action.closed - action.open)
         pose = self.start | dict(zip(self.actuated, opened.tolist(), strict=True))
-        pose |= {
-            coupling.joint: coupling.at(pose[coupling.driver])
-            for coupling in self.couplings
-        }
-        action = replace(action, open=opened)
-        if actions == "grip":
-            action = replace(action, groups=(np.concatenate(action.groups),))
-            names = ("closing of the hand",)
+        for coupling in self.couplings:
+            pose[coupling.joint] = coupling.at(pose[coupling.driver])
         pose = {joint: angle for joint, angle in pose.items() if angle}
+        action = replace(action, open=opened, groups=groups)
         return replace(self, action_map=action, action_names=names, start=pose)
 
     def closing(
         self, slide_step: Array, slide_limits: Array, closing_step: float
     ) -> ClosingAction:
-        """Return actions that close and open its groups."""
-        driven = [*zip(self.actuators, self.actuated, strict=True)]
+        """Return actions that move the slides, and close and open the hand's groups."""
+        start = dict(zip(self.actuators, self.start_targets().tolist(), strict=True))
         opened, closed = (
-            np.array(
-                [ends.get(name, self.start.get(joint, 0.0)) for name, joint in driven]
-            )
-            for ends in (self.opened, self.closed)
+            np.array([*(start | ends).values()]) for ends in (self.opened, self.closed)
         )
         groups = tuple(
-            np.array([*map(self.actuators.index, names)])
+            np.array([self.actuators.index(name) for name in names])
             for names in self.groups.values()
         )
         return ClosingAction(
@@ -440,14 +414,14 @@ class Hand:
 
     @property
     def digits(self) -> tuple[str, ...]:
-        return tuple(
-            dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm")
-        )
+        """Names of its digits."""
+        names = [s.digit for s in self.surfaces if s.segment != "palm"]
+        return tuple(dict.fromkeys(names))
 
 
 def short_digest(*parts: Path | bytes) -> str:
-    """Return a digest of bytes and of what is in files."""
-    content = b"".join(
-        part if isinstance(part, bytes) else part.read_bytes() for part in parts
-    )
-    return hashlib.sha256(content).hexdigest()[:16]
+    """Return a digest, 16 hex digits, of bytes and of the content of files."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part if isinstance(part, bytes) else part.read_bytes())
+    return digest.hexdigest()[:16]

@@ -9,7 +9,7 @@ from fnmatch import filter as matching
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -25,8 +25,6 @@ SLACK = 1e-3  # rad or m that an angle may be beyond a joint's range
 Angles = dict[str, float]
 """Angles by joint, rad or m."""
 Names = tuple[str, ...]
-Metres = Annotated[float, "[-1, 1]"]
-Near = tuple[Metres, Metres, Metres]
 
 
 # -- the file --------------------------------------------------------------------------------
@@ -34,7 +32,7 @@ Near = tuple[Metres, Metres, Metres]
 
 @dataclass(frozen=True)
 class DigitTable:
-    """One of [digits]."""
+    """One digit of [digits]."""
 
     links: Names
     """Links from knuckle to tip."""
@@ -43,14 +41,14 @@ class DigitTable:
     palmar: Vector | tuple[Vector, ...] | None = None
     """Palmar direction of all links, or of each."""
     base: Vector | None = None
-    """Place on the palm where it begins, m."""
+    """Point on the palm where the digit begins, m."""
     base_link: str | None = None
-    """The body in whose frame that is; default: the palm."""
+    """Body in whose frame `base` is; default: the palm."""
 
 
 @dataclass(frozen=True)
 class Follows:
-    """One of [couplings]: a joint is offset + ratio times its driver."""
+    """One joint of [couplings], which is offset + ratio times its driver."""
 
     follows: str
     ratio: Number
@@ -61,8 +59,8 @@ class Follows:
 class Place:
     """The place of a point of the palm at the start, m."""
 
-    of: Near | None = None
-    at: Near | None = None
+    of: Vector | None = None
+    at: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class PitchTable:
 
 @dataclass(frozen=True)
 class Actions:
-    """[actions]: of joints, or increments of slides and groups of digits that close."""
+    """[actions]: of joints, or increments of slides and of groups of digits that close."""
 
     kind: Literal["joints", "closing"] = "joints"
     step: Positive = CLOSING_STEP
@@ -152,7 +150,7 @@ class Digit(NamedTuple):
 
 @dataclass
 class Parts:
-    """A hand's file, and what of its model it means; ValueError where one does not fit the other."""
+    """A hand's file and its model. Properties raise ValueError where one does not fit the other."""
 
     file: HandFile
     folder: Path
@@ -161,7 +159,7 @@ class Parts:
 
     @property
     def is_own(self) -> bool:
-        """True for anybody's own hand. The library's are as they have always been."""
+        """True for anybody's own hand; the library's are read as they always were."""
         return self.folder != FOLDER
 
     @cached_property
@@ -181,23 +179,21 @@ class Parts:
 
     @cached_property
     def raw(self) -> mujoco.MjSpec:
-        """The model before bodies become part of others, without what no hand can have."""
+        """The model before bodies become part of others.
+
+        Raises ValueError for what no hand can have.
+        """
         spec = self.unread.unfused()
-        for body in self.file.masses:
-            require_one_of([each.name for each in spec.bodies], body, "masses")
-            if not spec.body(body).explicitinertial:
-                raise ValueError(
-                    f"masses: found {body!r}, allowed bodies whose model has an inertial"
-                )
+        weighing = [body.name for body in spec.bodies if body.explicitinertial]
+        for name in self.file.masses:
+            require_one_of(weighing, name, "masses")
         for joint in spec.joints:
-            where = f"a joint of body {joint.parent.name!r}"
-            if joint.type not in (mount.HINGE, mount.LINEAR):
+            if joint.type not in (mount.HINGE, mount.LINEAR) or not joint.name:
                 kind = joint.type.name.removeprefix("mjJNT_").lower()
                 raise ValueError(
-                    f"{where}: is a {kind} joint, allowed hinges and slides"
+                    f"body {joint.parent.name!r}: found {kind} joint {joint.name!r}, "
+                    "allowed hinges and slides that have a name"
                 )
-            if not joint.name:
-                raise ValueError(f"{where}: has no name; give it one")
         if empty := [body.name for body in mount.weightless(spec)]:
             raise ValueError(
                 "model: found links without mass or shape; leave them out: "
@@ -216,119 +212,120 @@ class Parts:
             self.unread,
             palm=self.palm_frame.link,
             ranges=ranges,
-            couplings=self.own_couplings,
+            couplings=self.file_couplings,
             keeps_servos=not self.replaced,
             passive=self.passive,
         )
 
     @cached_property
     def replaced(self) -> tuple[str, ...]:
-        """The actuators of the model in whose place joints get the library's servos, because not all
-        of them are position servos, each of other joints."""
-        spec, driven = self.raw, set[str]()
-        moves = {joint for each in spec.actuators for joint in mount.arms(spec, each)}
-        moves |= {coupling.joint for coupling in mount.followed(spec)}
-        has_tendon = any(each.trntype == mount.TENDON for each in spec.actuators)
-        is_bad = has_tendon and bool({*self.moved("closed")} - moves)
-        for actuator in spec.actuators:
-            arms = mount.arms(spec, actuator).keys()
-            is_bad |= not mount.is_servo(spec, actuator) or bool(arms & driven)
-            driven |= arms
-        return tuple(actuator.name for actuator in spec.actuators) if is_bad else ()
+        """Actuators of the model in whose place all joints get the library's servos.
+
+        None where all of them are position servos, each of other joints.
+        """
+        driven = set[str]()
+        for actuator in self.raw.actuators:
+            joints = mount.arms(self.raw, actuator).keys()
+            if joints & driven or not mount.is_servo(self.raw, actuator):
+                return tuple(actuator.name for actuator in self.raw.actuators)
+            driven |= joints
+        return ()
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
-        """Joints without servos: those that the file names, and those in closed loops that it does not
-        move."""
+        """Joints without servos: those that the file names, and those in closed loops.
+
+        What a pose of the file moves has one all the same.
+        """
         names = [
-            j for each in self.file.passive for j in self.matching(each, "passive")
+            j for name in self.file.passive for j in self.matching(name, "passive")
         ]
-        moved = {*self.moved("opened"), *self.moved("closed"), *self.moved("start")}
+        moved = set[str]()
+        for title in ("opened", "closed", "start"):
+            moved |= self.by_joint(getattr(self.file, title) or {}, title).keys()
         looped = set[str]().union(*mount.loops(self.raw))
         for joint in self.raw.joints:
             if joint.parent.name in looped and joint.name not in moved:
                 names.append(joint.name)
         return tuple(dict.fromkeys(names))
 
-    def moved(self, pose: str) -> Angles:
-        """Return the angles of a pose of the file, in a joint's range or not."""
-        return self.angles(getattr(self.file, pose) or {}, pose, False)
-
     @cached_property
     def spec(self) -> mujoco.MjSpec:
-        """The bare model."""
+        """The model with its servos, where its file has it."""
         return self.mount.bare()
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
-        """The files of the model."""
+        """Paths of all files of the model: the MJCF or URDF, its includes and meshes."""
         path = self.unread.model
         return (*model_file.parsed(path)[1], *model_file.assets(path, self.raw))
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """`spec`, compiled."""
+        """The compiled `spec`."""
         return model_file.compiled(self.spec)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
+        """Names of all joints of the model."""
         return tuple(joint.name for joint in self.raw.joints)
 
     @cached_property
     def driven(self) -> dict[str, str]:
         """Actuators by the joint that they drive: of a tendon the first that follows no other."""
         followers = {coupling.joint for coupling in mount.followed(self.spec)}
-        found = {}
+        actuators = {}
         for actuator in self.spec.actuators:
-            arms = list(mount.arms(self.spec, actuator))
-            drivers = [joint for joint in arms if joint not in followers]
-            found[(drivers or arms)[0]] = actuator.name
-        return found
+            joints = list(mount.arms(self.spec, actuator))
+            leading = [joint for joint in joints if joint not in followers]
+            actuators[(leading or joints)[0]] = actuator.name
+        return actuators
 
     @cached_property
-    def own_couplings(self) -> tuple[Coupling, ...]:
-        """Couplings of the file."""
-        for joint, about in self.file.couplings.items():
-            self.angles({joint: 0, about.follows: 0}, "couplings", False)
-        return tuple(
-            Coupling(joint, about.follows, about.ratio, about.offset)
-            for joint, about in self.file.couplings.items()
-        )
+    def file_couplings(self) -> tuple[Coupling, ...]:
+        """Couplings of the hand's file."""
+        couplings = []
+        for joint, law in self.file.couplings.items():
+            for name in (joint, law.follows):
+                require_one_of(self.joints, name, "couplings")
+            couplings.append(Coupling(joint, law.follows, law.ratio, law.offset))
+        return tuple(couplings)
 
     @cached_property
     def follows(self) -> tuple[Coupling, ...]:
         """Couplings of all joints that follow others, those of the file first, by what moves them."""
-        couplings = (*self.own_couplings, *mount.followed(self.spec))
-        found = {each.joint: each for each in couplings}
+        couplings = {
+            coupling.joint: coupling
+            for coupling in (*self.file_couplings, *mount.followed(self.spec))
+        }
         for driver, name in self.driven.items():
             for joint in mount.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:
-                    found.setdefault(joint, Coupling(joint, driver, 1.0))
-        return tuple(_by_last(coupling, found) for coupling in found.values())
+                    couplings.setdefault(joint, Coupling(joint, driver, 1.0))
+        return tuple(_by_last(each, couplings) for each in couplings.values())
 
-    def frame(self, name: Any, where: str) -> Frame:
-        """Return the link that a body is, or is part of; ValueError where none has that name."""
-        bodies = [body.name for body in self.raw.bodies[1:]]
-        if name not in bodies:
-            raise ValueError(
-                f"{where}: found no body {name!r} in the model, allowed: {', '.join(bodies)}"
-            )
-        return self.welded.get(str(name), Frame(str(name)))
+    def frame(self, name: str, where: str) -> Frame:
+        """Return the link that a body is, or is part of.
+
+        Raises ValueError where no body has that name.
+        """
+        require_one_of([body.name for body in self.raw.bodies[1:]], name, where)
+        return self.welded.get(name, Frame(name))
 
     @cached_property
     def welded(self) -> dict[str, Frame]:
-        """The bodies that are part of links. Nobody can mean one that has no name."""
-        fixed = [b.name for b in self.raw.bodies if b.name and mount.is_fixed(b)]
-        if not fixed or not self.is_own:
+        """Frames of the bodies that are part of links, by their names."""
+        names = [b.name for b in self.raw.bodies if b.name and mount.is_fixed(b)]
+        if not names or not self.is_own:
             return {}
-        data, found = posed(model_file.compiled(self.raw.copy()), {}), {}
-        for name in fixed:
-            body = mount.link_of(self.raw.body(name))
-            here, there = data.body(name), data.body(body.name)
-            turn = there.xmat.reshape(3, 3).T
-            own = np.round(turn @ here.xmat.reshape(3, 3), 12)
-            found[name] = Frame(body.name, own, turn @ (here.xpos - there.xpos))
-        return found
+        data, frames = posed(model_file.compiled(self.raw.copy()), {}), {}
+        for name in names:
+            body = data.body(name)
+            link = data.body(mount.link_of(self.raw.body(name)).name)
+            turn = link.xmat.reshape(3, 3).T
+            axes = np.round(turn @ body.xmat.reshape(3, 3), 12)
+            frames[name] = Frame(link.name, axes, turn @ (body.xpos - link.xpos))
+        return frames
 
     # -- joint angles
 
@@ -336,32 +333,33 @@ class Parts:
         """Return the joints of that name, or pattern; ValueError where there is none."""
         joints = [pattern] if pattern in self.joints else matching(self.joints, pattern)
         if not joints:
-            raise ValueError(
-                f"{where}: found no joint {pattern!r} in the model, allowed: {', '.join(self.joints)}"
-            )
+            require_one_of(self.joints, pattern, where)
         return joints
 
-    def angles(
-        self, values: Mapping[str, float], where: str, ranged: bool = True
-    ) -> Angles:
-        """Return those of a table, in order: keys are joints or patterns of them. ValueError for what
-        is not in a joint's range, where it is to be `ranged`."""
-        found: Angles = {}
-        for pattern, value in values.items():
-            found |= dict.fromkeys(self.matching(pattern, where), value)
-        for joint, angle in found.items() if ranged else ():
+    def by_joint(self, values: Mapping[str, float], where: str) -> Angles:
+        """Return a table of the file by joint; its keys are joints or patterns of them."""
+        return {
+            joint: value
+            for pattern, value in values.items()
+            for joint in self.matching(pattern, where)
+        }
+
+    def angles(self, values: Mapping[str, float], where: str) -> Angles:
+        """Return a table of the file by joint; ValueError for what is not in a joint's range."""
+        angles = self.by_joint(values, where)
+        for joint, angle in angles.items():
             low, high = self.range_of(joint)
             if not low - SLACK <= angle <= high + SLACK:
                 raise ValueError(
                     f"{where}.{joint}: found {angle:g}, allowed {low:.4g} to {high:.4g}, "
                     "the joint's range"
                 )
-        return found
+        return angles
 
-    def range_of(self, joint: str) -> tuple[float, float]:
+    def range_of(self, name: str) -> tuple[float, float]:
         """Return the range of a joint, in rad or m, infinite where it has none."""
-        found = self.model.joint(joint)
-        low, high = found.range.tolist() if found.limited[0] else (-math.inf, math.inf)
+        joint = self.model.joint(name)
+        low, high = joint.range.tolist() if joint.limited[0] else (-math.inf, math.inf)
         return low, high
 
     def inside(self, joint: str) -> float:
@@ -371,43 +369,40 @@ class Parts:
 
     @cached_property
     def closed(self) -> Angles:
+        """Angles of the closed hand, of joints that have an actuator."""
         closed = self.angles(self.file.closed, "closed")
-        followers = [each.joint for each in self.follows]
+        followers = [coupling.joint for coupling in self.follows]
         for joint in [joint for joint in closed if joint not in self.driven]:
-            drop = quoted([*self.driven.values()])
-            more = f", or give all joints the library's: drop = {drop}"
+            drop = f", or give all joints the library's: drop = {quoted([*self.driven.values()])}"
             raise ValueError(
                 f"closed.{joint}: found a joint without an actuator; leave it out"
-                f"{'' if joint in followers else more}"
+                f"{'' if joint in followers else drop}"
             )
         return closed
 
     @cached_property
     def opened(self) -> Angles:
-        """The same joints, open."""
+        """Angles of the open hand, of the joints that close."""
         opened = self.angles(self.file.opened, "opened")
-        for joint in [joint for joint in opened if joint not in self.closed]:
-            raise ValueError(f"opened.{joint}: found it without a value in [closed]")
+        for joint in opened:
+            require_one_of(self.closed, joint, "opened")
         return {joint: self.inside(joint) for joint in self.closed} | opened
-
-    @cached_property
-    def open_pose(self) -> Angles:
-        """Angles of all joints that close, open, and of those that follow them."""
-        return self.opened | self.followed(self.opened)
 
     def way(self, joint: str) -> float:
         """Return how far it goes from open to closed, by itself or following another, rad or m."""
-        own = self.closed.get(joint, 0.0) - self.opened.get(joint, 0.0)
-        drivers = [each for each in self.follows if each.joint == joint]
-        return own or sum(each.ratio * self.way(each.driver) for each in drivers)
+        opened = self.followed(self.opened) | self.opened
+        closed = self.followed(self.closed) | self.closed
+        return closed.get(joint, 0.0) - opened.get(joint, 0.0)
 
     def at(self, share: float) -> Angles:
         """Return the angles at a share of the way from open to closed."""
         return between(self.opened, self.closed, share)
 
     def pose(self, share: float) -> Angles:
-        """Return the angles of all joints at a share of the way from open to closed, the others as at
-        the start."""
+        """Return the angles of all joints at a share of the way from open to closed.
+
+        Joints that do not close are as at the start.
+        """
         angles = self.start | self.at(share)
         return angles | self.followed(angles)
 
@@ -420,8 +415,8 @@ class Parts:
             angles = dict(self.opened)
             for digit, share in self.file.start_closing.items():
                 require_one_of(self.digits, digit, "start_closing")
-                some = self.at(share)
-                angles |= {joint: some[joint] for joint in self.closing_of(digit)}
+                closing = self.at(share)
+                angles |= {joint: closing[joint] for joint in self.closing_of(digit)}
         angles = {joint: self.inside(joint) for joint in self.joints} | angles
         return angles | self.followed(angles)
 
@@ -433,26 +428,22 @@ class Parts:
 
     @cached_property
     def digits(self) -> dict[str, Digit]:
-        found: dict[str, Digit] = {}
-        for name, about in self.file.digits.items():
+        """Digits of the file, by name."""
+        digits: dict[str, Digit] = {}
+        for name, table in self.file.digits.items():
             where = f"digits.{name}"
-            require_distinct(about.links, f"{where}.links")
-            frames = [self.frame(body, where) for body in about.links]
-            directions = _directions(about.palmar, len(frames), f"{where}.palmar")
+            require_distinct(table.links, where)
+            frames = [self.frame(body, where) for body in table.links]
+            directions = _directions(table.palmar, len(frames), f"{where}.palmar")
             sides: dict[str, Array | None] = {}
             for frame, side in zip(frames, directions, strict=True):
                 turned = None if side is None else np.array(frame.direction(side))
                 sides.setdefault(frame.link, turned)
-            for other, digit in found.items():
-                for link in sides.keys() & {*digit.links}:
-                    raise ValueError(
-                        f"{where}.links: found {link!r}, which is a link of {other}"
-                    )
-            tip = frames[-1].point(about.tip)
-            found[name] = Digit(tuple(sides), tip, tuple(sides.values()))
-        if not found:
-            raise ValueError("digits: found none, expected a table with one or more")
-        return found
+            tip = frames[-1].point(table.tip)
+            digits[name] = Digit(tuple(sides), tip, tuple(sides.values()))
+        links = [link for digit in digits.values() for link in digit.links]
+        require_distinct(tuple(links), "digits")
+        return digits
 
     def closing_of(self, digit: str) -> list[str]:
         """Return the joints of [closed] that move a digit, through closed loops too."""
@@ -467,25 +458,27 @@ class Parts:
 
     @cached_property
     def palm_frame(self) -> Frame:
+        """The palm's body in the frame of its link."""
         return self.frame(self.file.palm, "palm")
 
     @cached_property
     def palm(self) -> int:
+        """Id of the palm's link in `model`."""
         return int(self.model.body(self.palm_frame.link).id)
 
     @cached_property
     def palm_point(self) -> tuple[float, ...]:
-        """The palm's point in its frame, m."""
+        """The palm's point (3,) in the frame of its link, m."""
         return self.palm_frame.point(self.file.palm_point)
 
     @cached_property
     def palmar(self) -> Array:
-        """Unit vector (3,) out of the palm, in its frame."""
+        """Unit vector (3,) out of the palm, in the frame of its link."""
         return unit(self.palm_frame.direction(self.file.palmar), "palmar")
 
     @cached_property
     def fingers(self) -> Array:
-        """Unit vector (3,) from the palm towards the fingers, in its frame."""
+        """Unit vector (3,) from the palm towards the fingers, in the frame of its link."""
         fingers = unit(self.palm_frame.direction(self.file.fingers), "fingers")
         if abs(self.palmar @ fingers) > 0.9:
             raise ValueError(
@@ -508,10 +501,10 @@ def require_distinct(names: Names, where: str) -> None:
         raise ValueError(f"{where}: found {list(names)}, expected each name once")
 
 
-def _by_last(coupling: Coupling, of: Mapping[str, Coupling]) -> Coupling:
-    """Return a coupling by the last of those that follow each other."""
+def _by_last(coupling: Coupling, couplings: Mapping[str, Coupling]) -> Coupling:
+    """Return a coupling to the joint that moves all those that follow each other."""
     chain = [coupling.joint, coupling.driver]
-    while beyond := of.get(coupling.driver):
+    while beyond := couplings.get(coupling.driver):
         chain.append(beyond.driver)
         if beyond.driver in chain[:-1]:
             raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
@@ -525,17 +518,19 @@ def _directions(value: Any, n: int, where: str) -> list[Array | None]:
     """Return palmar directions of `n` links: none, one for all, or one for each."""
     if value is None:
         return [None] * n
-    each = value if isinstance(value[0], tuple) else [value] * n
-    if len(each) != n:
+    directions = value if isinstance(value[0], tuple) else [value] * n
+    if len(directions) != n:
         raise ValueError(
-            f"{where}: found {len(each)} directions, expected one, or one for each link"
+            f"{where}: found {len(directions)} directions, expected one, or one for each link"
         )
-    return [unit(one, where) for one in each]
+    return [unit(direction, where) for direction in directions]
 
 
 def _model_file(name: str, folder: Path) -> Path:
-    """Return a path beside the hand's file, or "package:path" in a package that is installed, which is
-    not imported: that may be slow."""
+    """Return a path beside the hand's file, or "package:path" in a package that is installed.
+
+    The package is not imported: that may be slow.
+    """
     package, colon, inside = name.partition(":")
     if not colon:
         return folder / name

@@ -1,5 +1,7 @@
-"""Places for taxels: the palmar sides of the links that a hand's file names; and the touch sensors that
-a model has of its own, as taxels on links."""
+"""Places for taxels: the palmar sides of the links that a hand's file names.
+
+The touch sensors that a model has of its own become taxels on links, too.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +20,25 @@ from .hand import RADIUS, SEGMENTS, Pitch, Point, Surface
 from .parts import DigitTable, Parts
 
 PARALLEL = 0.99  # cosine
-BEYOND = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
+OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
 SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch")
-LEAST, MOST = 1e-3, 0.02  # m, of radii
+MIN_RADIUS, MAX_RADIUS = 1e-3, 0.02  # m, of sensors
 NANO = 9  # decimals of m that count of a place
 ORIGIN = (0.0, 0.0, 0.0)
 
 
 def of(parts: Parts) -> tuple[Surface, ...]:
     """Return the palmar sides of all segments, then of the palm at the bases of the fingers."""
-    data, surfaces = posed(parts.model, parts.open_pose), []
+    opened = parts.opened | parts.followed(parts.opened)
+    data, surfaces = posed(parts.model, opened), []
     tips = parts.tips(data)
-    for name, digit, place in zip(
-        parts.digits, parts.digits.values(), tips, strict=True
-    ):
+    for (name, digit), tip in zip(parts.digits.items(), tips, strict=True):
         segments = _segments(len(digit.links))
         for count, side in enumerate(digit.sides):
             links = digit.links[count:]
             body = data.body(links[0])
             turn = body.xmat.reshape(3, 3).T
-            along = unit(turn @ (place - body.xpos), f"digits.{name}.tip")
+            along = unit(turn @ (tip - body.xpos), f"digits.{name}.tip")
             inward = turn @ (tips.mean(axis=0) - body.xpos)
             empty = Surface(name, segments[count], links[0], ORIGIN, ORIGIN, ORIGIN)
             surfaces.append(_segment(parts, data, empty, links, along, inward, side))
@@ -45,12 +46,12 @@ def of(parts: Parts) -> tuple[Surface, ...]:
         shift = parts.file.pitch.distal_shift * np.array(last.along)
         surfaces[-1] = replace(last, centre=tuple(last.centre + shift))
         away, _ = outside(geoms_of(parts.model, last.link), np.array(digit.tip))
-        if away > BEYOND:
+        if away > OFF_SKIN:
             raise ValueError(
                 f"digits.{name}.tip: found a point {1e3 * away:.1f} mm off body {last.link!r}, "
-                f"allowed up to {1e3 * BEYOND:g} mm"
+                f"allowed up to {1e3 * OFF_SKIN:g} mm"
             )
-    bases = {name: about for name, about in parts.file.digits.items() if about.base}
+    bases = {name: digit for name, digit in parts.file.digits.items() if digit.base}
     palms = [_palm_side(parts, name, bases.get(name)) for name in bases or ["palm"]]
     return (*surfaces, *palms)
 
@@ -70,19 +71,20 @@ def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
 
 
 def _segments(n: int) -> tuple[str, ...]:
-    """Return what `n` links from knuckle to tip are called."""
+    """Return the names of the segments of a digit of `n` links, from knuckle to tip."""
     first, middle, last = SEGMENTS
-    more = [f"{middle}{k}" for k in range(2, n - 1)]
-    names = (first, middle, *more, last)
-    return {1: (last,), 2: (first, last)}.get(n, names)
+    names = [first, middle, *(f"{middle}{number}" for number in range(2, n - 1))]
+    return (*names[: n - 1], last)
 
 
 def _segment(
     parts: Parts, data: mujoco.MjData, empty: Surface, links: tuple[str, ...], along: Array,
     inward: Array, side: Array | None,
 ) -> Surface:  # fmt: skip
-    """Return the palmar side of the first of some links: of a capsule along its axis, of anything else
-    along the way to the tip."""
+    """Return the palmar side of the first of some links.
+
+    Its rows go along the axis of a capsule, on anything else along the way to the tip.
+    """
     geoms = geoms_of(parts.model, links[0])
     if not geoms:
         raise ValueError(
@@ -113,9 +115,11 @@ def _segment(
 def _palmar(
     parts: Parts, data: mujoco.MjData, links: tuple[str, ...], along: Array, inward: Array
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return the palmar side of the first of some links, and its direction to the tip, unit vectors
-    (3,) in its frame: closing turns it there, about its own joints, else about those beyond it, else
-    about those that carry it. What slides goes there, and what nothing moves faces `inward`.
+    """Return the palmar side of the first of some links, and its direction to the tip.
+
+    Both are unit vectors (3,) in its frame. Closing turns the link to its palmar side: about its own
+    joints, else about those beyond it, else about those that carry it. A link that slides goes there,
+    and one that nothing moves faces `inward`.
 
     An axis against which the link is turned by more, as one that stays parallel, counts the other way.
     """
@@ -123,12 +127,13 @@ def _palmar(
 
     def moves(bodies: Any, kind: Any) -> list[Array]:
         joints = [j for body in bodies for j in parts.spec.body(body).joints]
-        names = [joint.name for joint in joints if joint.type == kind]
-        axes = [np.round(turn @ data.joint(name).xaxis, 12) for name in names]
+        ways = {
+            joint.name: parts.way(joint.name) for joint in joints if joint.type == kind
+        }
         return [
-            parts.way(name) * axis
-            for name, axis in zip(names, axes, strict=True)
-            if parts.way(name)
+            way * np.round(turn @ data.joint(name).xaxis, 12)
+            for name, way in ways.items()
+            if way
         ]
 
     above = mount.chain(parts.spec.body(links[0]))[-2::-1]
@@ -149,7 +154,7 @@ def _palmar(
 
 
 def _around(surface: Surface) -> Surface:
-    """Return it with the middle of all of its geoms as its own, and their extent."""
+    """Return a surface with the middle and the extent of all of its geoms."""
     axes = np.array([surface.along, surface.across, surface.palmar])
     points = np.concatenate([geom.points for geom in surface.geoms]) @ axes.T
     low, high = points.min(axis=0), points.max(axis=0)
@@ -158,21 +163,23 @@ def _around(surface: Surface) -> Surface:
     return replace(surface, centre=centre, extent=(length, width))
 
 
-def _palm_side(parts: Parts, digit: str, about: DigitTable | None) -> Surface:
-    """Return the palm at the base of a digit, or at its own point: a plane where it is said to be flat,
-    else whatever is there."""
+def _palm_side(parts: Parts, name: str, digit: DigitTable | None) -> Surface:
+    """Return the palm at the base of a digit, or at its own point.
+
+    It is a plane where the file says that the palm is flat, else what is met from the palmar side.
+    """
     frame, base = parts.palm_frame, parts.palm_point
-    if about is not None:
-        if about.base_link is not None:
-            frame = parts.frame(about.base_link, f"digits.{digit}.base_link")
-        base = frame.point(about.base)
+    if digit is not None:
+        if digit.base_link is not None:
+            frame = parts.frame(digit.base_link, f"digits.{name}.base_link")
+        base = frame.point(digit.base)
     data = posed(parts.model, {})
-    here, there = (data.body(b).xmat.reshape(3, 3) for b in (frame.link, parts.palm))
-    turn = np.round(here.T @ there, 12)
+    link, palm = (data.body(b).xmat.reshape(3, 3) for b in (frame.link, parts.palm))
+    turn = np.round(link.T @ palm, 12)
     along, palmar = (
         tuple((turn @ v + 0.0).tolist()) for v in (parts.fingers, parts.palmar)
     )
-    plane = Surface(digit, "palm", frame.link, base, along, palmar)  # type: ignore[arg-type]
+    plane = Surface(name, "palm", frame.link, base, along, palmar)  # type: ignore[arg-type]
     if parts.file.palm_is_flat:
         return plane
     geoms = geoms_of(parts.model, frame.link)
@@ -181,32 +188,32 @@ def _palm_side(parts: Parts, digit: str, about: DigitTable | None) -> Surface:
             f"palm: found no surface of body {frame.link!r} at {list(base)} on its palmar side"
         )
     whole = replace(plane, geoms=geoms)
-    return replace(_around(whole), centre=plane.centre) if about is None else whole
+    return replace(_around(whole), centre=base) if digit is None else whole
 
 
 def sensors(parts: Parts) -> tuple[Point, ...]:
-    """Return the sites of `<touch>` sensors, and what is fixed to a link and called a sensor, as in
-    URDF. Those that are not at the skin of a link are left out."""
+    """Return the touch sensors of the model that are at the skin of a link of the hand.
+
+    These are sites of `<touch>` sensors, and what is fixed to a link and called a sensor, as in URDF.
+    """
     model, touch = parts.model, mujoco.mjtSensor.mjSENS_TOUCH
     sensing = model_file.read(parts.unread.model).sensors
     chosen = {sensor.objname for sensor in sensing if sensor.type == touch}
-    sites = [model.site(s.name) for s in parts.spec.sites if s.name in chosen]
+    sites = [model.site(site.name) for site in parts.spec.sites if site.name in chosen]
     spots = [
         (site.name, model.body(site.bodyid[0]).name, site.pos, site.size[0])
         for site in sites
     ]
-    spots += [
-        (name, frame.link, frame.place, RADIUS)
-        for name, frame in parts.welded.items()
-        if SENSORS.search(name)
-    ]
+    for name, frame in parts.welded.items():
+        if SENSORS.search(name):
+            spots.append((name, frame.link, frame.place, RADIUS))
     links = {parts.palm_frame.link}.union(*(d.links for d in parts.digits.values()))
     points = []
     for name, link, place, radius in spots:
         geoms = geoms_of(model, link) if link in links else ()
         away, normal = outside(geoms, place) if geoms else (np.inf, place)
-        if abs(away) < BEYOND and normal.any():
-            radius = float(np.clip(radius, LEAST, MOST))
-            where = tuple(place.tolist()), tuple(normal.tolist())
-            points.append(Point(link, *where, radius, name))
+        if abs(away) < OFF_SKIN and normal.any():
+            radius = float(np.clip(radius, MIN_RADIUS, MAX_RADIUS))
+            position, outward = tuple(place.tolist()), tuple(normal.tolist())
+            points.append(Point(link, position, outward, radius, name))
     return tuple(points)

@@ -46,89 +46,70 @@ class HandFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl hand MODEL`: exit 1 when no grasp was found."""
-    read = flags.parse(HandFlags, args, "tactilerl hand", ABOUT)
-    if not read.model:
+    """Run `tactilerl hand MODEL`; exit 1 when no grasp was found."""
+    choices = flags.parse(HandFlags, args, "tactilerl hand", ABOUT)
+    out, name = choices.out, str(choices.out)
+    if not choices.model:
         raise InputError("MODEL: found none, expected the path of an MJCF or URDF file")
-    if read.out.suffix != hands.SUFFIX:
+    if out.suffix != hands.SUFFIX:
         raise InputError(
-            f"--out: found {read.out.name!r}, allowed names that end in {hands.SUFFIX}"
+            f"--out: found {out.name!r}, allowed names that end in {hands.SUFFIX}"
         )
-    require_new(read.out, read.overwrite)
+    require_new(out, choices.overwrite)
     with input_errors():
-        _write(read)
-        _say_what_was_guessed(read.out)
-        hand = hands.get(str(read.out))
+        _write(choices, {})
+        if complaint := _servo_complaint(name):
+            console.print(f"note: {complaint}: the joints get the library's servos")
+            _write(choices, {"servos": "library"})
+        hand = hands.get(name)
         n_actuators = len(hand.actuators) - len(hands.SLIDES)
         console.print(f"  closing: {len(hand.closed)} of {n_actuators} actuators")
         for note in hand.notes:
             console.print(f"  note: {note}")
-        scene = setup(str(read.out), layout="1")
-        found = find_grasp(str(read.out), scene, read.overwrite)
-    if found is not None:
-        text = f"\n{found.toml()}\n"
-        _save(read.out, read.out.read_bytes() + text.encode())
-    pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
-    what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
-    draw(console, what, str(read.out), scene, pose, picture, read.overwrite)
-    if found is None:
+        scene = setup(name, layout="1")
+        grasp = find_grasp(name, scene, choices.overwrite)
+        if grasp is not None:
+            with out.open("a", encoding="utf-8") as file:
+                file.write(f"\n{grasp.toml()}\n")
+    pose: Literal["start", "grasp"] = "start" if grasp is None else "grasp"
+    title, picture = f"the {pose}, and the hand unrolled", out.with_suffix(".png")
+    draw(console, title, name, scene, pose, picture, choices.overwrite)
+    if grasp is None:
         return 1
-    name = pasted(read.out)
-    train = f"tactilerl train --env {name} --recipe steady --total-timesteps 15000"
-    console.print(f"next: tactilerl env --env {name} --check    {train}")
+    train = f"--env {pasted(out)} --recipe steady --total-timesteps 15000"
+    console.print(
+        f"next: tactilerl env --env {pasted(out)} --check    tactilerl train {train}"
+    )
     return 0
 
 
-def _write(read: HandFlags) -> None:
-    """Write the file; once more with other servos, where the model's own do not do."""
-    said: dict[str, Any] = {"palm": read.palm} if read.palm else {}
-    said |= {"drop": list(read.drop)} if read.drop else {}
-    model = read.model
+def _write(choices: HandFlags, known: dict[str, Any]) -> None:
+    """Write the file, and print what was guessed."""
+    model, folder = choices.model, choices.out.parent.resolve()
     if ":" not in model:
         path = Path(model).parent.resolve() / Path(model).name
-        model = os.path.relpath(path, read.out.parent.resolve())
-    notes = _written(read.out, model, said)
-    try:
-        bad = _servos_fail(read.out)
-    except ValueError:
-        _say_what_was_guessed(read.out)
-        raise
-    if bad:
-        notes = _written(read.out, model, {**said, "servos": "library"})
-        notes.append(f"{bad}: the joints get the library's servos")
+        model = os.path.relpath(path, folder)
+    known = {"palm": choices.palm, "drop": list(choices.drop), **known}
+    text, notes = sandbox.call(guess.describe, model, folder, known)
+    with replacing(choices.out) as file:
+        file.write((MARK + text).encode())
+    console.print(f"{choices.out}: guessed; correct it in the file:")
+    table = tomllib.loads(text)
+    for key in ("palm", "palmar", "fingers"):
+        console.print(f"  {key}: {table[key]}")
+    for digit, about in table["digits"].items():
+        console.print(f"  digits.{digit}: {', '.join(about['links'])}")
     for note in notes:
-        console.print(f"note: {note}")
+        console.print(f"  note: {note}")
 
 
-def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
-    """Write the file once; return notes on what was guessed."""
-    folder = path.parent.absolute()
-    text, notes = sandbox.call(guess.describe, model, folder, said)
-    _save(path, (MARK + text).encode())
-    return notes
-
-
-def _save(path: Path, content: bytes) -> None:
-    with replacing(path) as file:
-        file.write(content)
-
-
-def _servos_fail(path: Path) -> str:
+def _servo_complaint(name: str) -> str:
     """Return how the model's own servos fail, "" where they do not."""
     try:
-        notes = hands.get(str(path)).notes
-        weak = [note.partition(";")[0] for note in notes if "weak or slow" in note]
-        return (*weak, "")[0]
+        texts = hands.get(name).notes
     except ValueError as error:
-        if "hang still" not in str(error):
+        texts = (str(error),)
+        if "hang still" not in texts[0]:
             raise
-        return str(error).rpartition("model: ")[2].partition(";")[0]
-
-
-def _say_what_was_guessed(path: Path) -> None:
-    data = tomllib.loads(path.read_text(encoding="utf-8"))
-    console.print(f"{path}: guessed; correct it in the file:")
-    for key in ("palm", "palmar", "fingers"):
-        console.print(f"  {key}: {data[key]}")
-    for name, about in data["digits"].items():
-        console.print(f"  digits.{name}: {', '.join(about['links'])}")
+    failing = [text for text in texts if "hang still" in text or "weak or slow" in text]
+    return failing[0].partition(";")[0] if failing else ""

@@ -123,9 +123,16 @@ def test_of_two_hands_the_first_is_taken_with_a_note():
         len('<mujoco><compiler angle="radian"/><worldbody>') :
     ]
     other = other.replace('name="', 'name="b').replace("</worldbody></mujoco>", "")
-    about, (note, _) = guessed(PERSON.replace("</worldbody>", f"{other}</worldbody>"))
+    both = PERSON.replace("</worldbody>", f"{other}</worldbody>")
+    about, notes = guessed(both)
     assert about["palm"] == about["root"] == "hand"
-    assert note.startswith("palm: found 2 (hand, bother), took the first")
+    assert len(about["digits"]) == 4
+    for name in ("hand", "bother"):
+        body = f'<body name="{name}">'
+        both = both.replace(body, f'{body}<joint name="{name}"/>')
+    about, notes = guessed(both)
+    assert about["palm"] == about["root"] == "hand"
+    assert notes[0].startswith("palm: found 2 (hand, bother), took the first")
 
 
 def test_what_is_left_out_by_itself_stays_out_beside_what_is_asked_for():

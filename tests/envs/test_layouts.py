@@ -144,7 +144,7 @@ def test_what_stands_for_a_layout_is_that_layout(name, tmp_path):
 def test_taxel_beside_the_phalanx_is_refused(tmp_path):
     path = tmp_path / "wide.toml"
     path.write_text("[[patch]]\n" + GOOD.replace("[0, 0]", "[0, 20]"))
-    with pytest.raises(ValueError, match="lies beside the phalanx"):
+    with pytest.raises(ValueError, match="lies beside the link"):
         layouts.load(str(path)).place(HAND)
     edge = GOOD.replace("distal", "proximal").replace("[0, 0]", "[0, 13]")
     path.write_text("[[patch]]\n" + edge)  # 13 / 1000 is a little more than the radius, 0.013

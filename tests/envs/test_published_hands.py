@@ -295,7 +295,7 @@ NO_HANDS = [
     (MODEL, UNMOVED, "digits.thumb: .*closed"),
     (with_more(coupled("0 1 0.2")), FOLLOWERS, r"'l_b' coupled to 'l_a' by \[0.2, 0.0, 0.0\] beyond"),
     (with_more(servos(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""), r'closed.l_b: .* drop = \["r_a"\]'),
-    (on_palm(BALL), TOML, "a joint of body 'pad': is a ball joint, allowed hinges"),
+    (on_palm(BALL), TOML, "body 'pad': found ball joint '', allowed hinges"),
     (on_palm(EMPTY), TOML, r'leave them out: drop = \["e0", "e1"\]'),
     (on_palm("<freejoint/>").replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \("),
     (on_palm('<body name="object"/>'), TOML, "found a part called 'object'"),
