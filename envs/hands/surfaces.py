@@ -188,7 +188,7 @@ def _palm_side(parts: Parts, name: str, digit: DigitTable | None) -> Surface:
             f"palm: found no surface of body {frame.link!r} at {list(base)} on its palmar side"
         )
     whole = replace(plane, geoms=geoms)
-    return replace(_around(whole), centre=base) if digit is None else whole
+    return replace(_around(whole), centre=plane.centre) if digit is None else whole
 
 
 def sensors(parts: Parts) -> tuple[Point, ...]:
