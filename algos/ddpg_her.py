@@ -66,9 +66,9 @@ class DDPGHERConfig:
     """Weight of the old target network when it moves; tau elsewhere is 1 - polyak."""
     target_update_interval: Count | None = None
     """Updates between two moves of the target networks, which move at the end of a cycle at the latest;
-    default: one move per cycle (source)."""
+    default: one move per cycle, as in baselines."""
     gamma: Annotated[float, "[0, 1)"] | None = None
-    """Discount factor; default: 1 - 1/T, where T is the length of an episode (source)."""
+    """Discount factor; default: 1 - 1/T, where T is the length of an episode, as in baselines."""
     action_l2: NotNegative = 1.0
     """Weight of the mean squared action in the actor's loss."""
     clip_obs: Positive32 = 200.0
@@ -100,13 +100,13 @@ class DDPGHERConfig:
     """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 if the task
     has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
-    """Combination of the gradients of several processes (source: sum)."""
+    """Combination of the gradients of several processes (baselines: sum)."""
     clip_target: bool = True
-    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source), wider
+    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (baselines), wider
     once rewards below -1 or above 0 are seen. With --normalize-rewards it follows all rewards."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
-    since the source has no done mask; terminal: it is not.
+    since baselines has no done mask; terminal: it is not.
     """
     normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
@@ -267,7 +267,7 @@ class DDPGHER(Learner):
         self._action_l2 = config.action_l2
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
-        # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
+        # All rewards so far lie from -worst to best, in baselines from the start from -1 to 0.
         self.worst = self.reward_scale = 0.0 if config.normalize_rewards else 1.0
         self.best = 0.0
         self._largest_return = 0.0  # of the last episodes

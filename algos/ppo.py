@@ -1,8 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017), as the paper uses it.
 
-Read from top to bottom: the choices, what it computes, the learner. The source of what the paper
-leaves open is PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with returns =
-advantage + value, advantages normalized over the batch, separate Adams.
+Read from top to bottom: hyperparameters, equations, the learner. What the paper leaves open is as in
+PPO-for-Beginners (Yu 2023), the code that the paper used: whole episodes, GAE with returns = advantage
++ value, advantages normalized over the batch, an Adam for each network.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from .rollout import (
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
 SILENCE_P = (
-    0.2  # below this chance of as many failures, the last update is to blame for them
+    0.2  # failures that were less likely than this for the policy before are undone
 )
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
@@ -78,10 +78,10 @@ class PPOConfig:
     """Passes over the batch per epoch (paper: updates per epoch; Stable-Baselines3: n_epochs)."""
     n_minibatches: Count | None = None
     """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says
-    "minibatch size: 6"; its source uses 6 as their number."""
+    "minibatch size: 6"; in its code, 6 is their number."""
     minibatch_size: Count | None = None
-    """Minimum number of transitions per minibatch, instead of --n-minibatches; all have about as
-    many. (Stable-Baselines3: batch_size.)"""
+    """Minimum number of transitions per minibatch, instead of --n-minibatches; the batch is
+    split evenly. (Stable-Baselines3: batch_size.)"""
     max_grad_norm: Positive32 = 0.5
     """Largest norm of the gradient, clipped separately for actor and critic."""
     exploration: Literal["fixed", "learned"] = "fixed"
@@ -107,16 +107,16 @@ class PPOConfig:
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100.
     """
     anneal_lr: bool = False
-    """Decay both learning rates linearly to zero over the run (in the source, not in the paper)."""
+    """Decay both learning rates linearly to zero over the run (in the paper's code, not in its text)."""
     target_kl: Positive32 | None = None
-    """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
-    not in the paper)."""
+    """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the paper's
+    code, not in its text)."""
     undo_silent: bool = False
     """Do not update the actor from epochs in which every episode fails alike, and undo the update after
-    which they do, as a policy that meets no reward would go on learning from noise."""
+    which they do: a policy that meets no reward would go on learning from noise."""
 
     def acting(self, remaining: float) -> PPOConfig:
-        """Return the same choices: noise does not depend on what is left of the run."""
+        """Return these choices: unlike DDPG+HER's, PPO's noise is not annealed."""
         return self
 
     def validate(self) -> None:
@@ -150,6 +150,7 @@ def gae(
     """
     next_values = np.append(values[1:], last_value)
     deltas = (rewards + gamma * next_values - values).tolist()
+    # Backwards in time: A[t] = delta[t] + gamma lambda A[t + 1].
     return np.array(discounted(deltas, gamma * lam))
 
 
@@ -167,7 +168,7 @@ def normalize(advantages: Array) -> Array:
 class Gaussian(nn.Module):
     """Give actions independent normal noise, in units where the bounds are ±1.
 
-    Its standard deviations are sqrt(variance) · exp(log_std).
+    Its standard deviations are sqrt(variance) · exp(log_std), so `log_std` is relative to the first.
     """
 
     def __init__(self, n_actions: int, variance: float) -> None:
@@ -199,7 +200,8 @@ class Surrogate(NamedTuple):
 
     loss: Tensor
     kl: Tensor
-    """Unbiased estimate of the KL divergence from the old policy."""
+    """Estimate of the KL divergence from the old policy, ratio - 1 - log(ratio): Schulman's k3,
+    which is unbiased and never negative."""
     is_clipped: Tensor
     """True where the ratio is outside the clip range."""
 
@@ -233,15 +235,15 @@ class PPO(Learner):
     policy_parts = ("actor", "gaussian", "obs_stats")
     saved = (*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam")
     plain = (
-        *(
-            "env_steps",
-            "epochs",
-            "before_update",
-            "failure",
-            "failure_share",
-            "failures",
-        ),
-        *("reward_scale", "lowest_reward", "highest_reward"),
+        "env_steps",
+        "epochs",
+        "before_update",
+        "failure",
+        "failure_share",
+        "failures",
+        "reward_scale",
+        "lowest_reward",
+        "highest_reward",
     )
 
     def build(self, generator: torch.Generator) -> None:
@@ -311,7 +313,7 @@ class PPO(Learner):
         """Take `n_passes` over the batch in shuffled minibatches, of which each rank computes a part.
 
         Actor and critic share nothing that is learned: each has its own loop, and its own thread
-        where there are two cores.
+        where there are two cores. In a silent epoch, only the critic is updated.
         """
         config, batch = self.config, self._batch()
         n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
@@ -411,9 +413,10 @@ class PPO(Learner):
         """Return whether this epoch says nothing to the actor, and how many updates were undone.
 
         An epoch is silent where all episodes fail alike: their returns are the same, and no better
-        than the worst of the last epoch in which they differed. Once so many failures in a row would
-        be unlikely for the policy of that epoch, the actor goes back to it. Before any epoch
-        differed, and where all episodes succeed, there is nothing to undo.
+        than the worst of the last epoch in which they differed. If a share p of the episodes failed
+        then, n failures in a row had a probability of p^n. Once this is below `SILENCE_P`, the actor
+        goes back to the policy of that epoch. Before any epoch differed, and where all episodes
+        succeed, there is nothing to undo.
         """
         returns = [sum(episode.rewards) for episode in self._episodes]
         parts: dict[str, Any] = {
@@ -447,6 +450,7 @@ class PPO(Learner):
         views = [obs for episode in episodes for obs in episode.obs]
         all_obs = FlatInputs(self.obs_stats.scaling()).stack(views).to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).cpu().double().numpy()
+        # An episode has one more observation than transitions: the last, after which nothing is done.
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
         # No value of a last observation is ever learned. Where it is like no other, as with time in
@@ -469,21 +473,22 @@ class PPO(Learner):
             torch.from_numpy(values.astype(np.float32)).to(self.device)
             for values in (taken, normalize(advantage), returns)
         )
+        # Of the actor that played; where it is then undone, this epoch does not update it.
         log_prob = self.gaussian.log_prob(actions, self.actor(obs))
         return Transitions(obs, actions, log_prob, normalized, target)
 
     def _update_reward_scale(self) -> None:
-        """Let the scale of rewards grow to the largest return so far.
+        """Raise the scale of rewards to the largest return so far; it is 0 before the first reward.
 
         The critic's last layer shrinks as it grows, so that values in the environment's unit stay
-        (van Hasselt et al. 2016).
+        (PopArt, van Hasselt et al. 2016).
         """
         if not self.config.normalize_rewards:
             return
         gamma = self.config.gamma
         largest = max(largest_return(e.rewards, gamma) for e in self._episodes)
         if largest > self.reward_scale:
-            self.critic.scale_outputs(self.reward_scale / largest or 1.0)
+            self.critic.scale_outputs((self.reward_scale / largest) or 1.0)
             self.reward_scale = largest
 
     def _warn_of_divergence(self, values: Array) -> None:
@@ -491,10 +496,14 @@ class PPO(Learner):
         rewards = [reward for episode in self._episodes for reward in episode.rewards]
         self.lowest_reward = min(self.lowest_reward, *rewards)
         self.highest_reward = max(self.highest_reward, *rewards)
-        discount = 1.0 - self.config.gamma
-        if discount == 0.0:
+        # A return is at most the largest reward, divided by this.
+        one_minus_gamma = 1.0 - self.config.gamma
+        if one_minus_gamma == 0.0:
             return
-        low, high = self.lowest_reward / discount, self.highest_reward / discount
+        low, high = (
+            self.lowest_reward / one_minus_gamma,
+            self.highest_reward / one_minus_gamma,
+        )
         margin = high - low  # what a critic may be off by without having diverged
         if values.min() < low - margin or values.max() > high + margin:
             self.warn_once(
@@ -504,9 +513,9 @@ class PPO(Learner):
             )
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
-        """Return whether more would have followed its last transition.
+        """Return whether more would have followed an episode's last transition.
 
-        What diverged did not end by itself.
+        Nor is it an end where the physics diverged and cut the episode off.
         """
         is_bootstrapped = (
             self.config.truncation == "bootstrap" and not episode.terminated
