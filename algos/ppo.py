@@ -107,7 +107,7 @@ class PPOConfig:
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100.
     """
     anneal_lr: bool = False
-    """Decay both learning rates linearly to zero over the run (in the paper's code, not in its text)."""
+    """Decay both learning rates to zero, linearly over the run (in the paper's code, not its text)."""
     target_kl: Positive32 | None = None
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the paper's
     code, not in its text)."""
