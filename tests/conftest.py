@@ -25,7 +25,8 @@ os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a waiting rank yie
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The longest first, so that no core is idle at the end.
-LONG = ["test_cli", "test_study_run", "test_design", "test_mpi", "test_study_report"]
+LONG = ["test_cli", "test_design", "test_mpi", "test_study_run", "test_study_executors"]
+LONG += ["test_study_report", "test_api", "test_docs", "test_page"]
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 

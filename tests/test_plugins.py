@@ -1,7 +1,6 @@
 """What modules add: tasks, touch rules and hands, by --import."""
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -125,14 +124,13 @@ def test_a_run_is_trained_and_evaluated_with_import(capsys):
     fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
 
 
-def test_a_study_says_what_the_user_has_to_import(capsys, monkeypatch):
+def test_a_study_says_what_the_user_has_to_import(capsys, trained_here):
     lines = ['name = "s"', "[setups.cup]", f'scene = "{EXAMPLES / "own_task.toml"}"', "layout = 5"]
     lines += ['import = "own_task"', "total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]
     Path("s.toml").write_text("\n".join(lines))
     run = ["study", "run", "s.toml", "--jobs", "1"]
     fails_with(capsys, run, "module 'own_task'", "--import own_task")
     assert "own_task" not in sys.modules
-    monkeypatch.setenv("PYTHONPATH", f"{EXAMPLES}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     assert "cup_s0 done" in printed(capsys, [*run, "--import", "own_task"])
 
 

@@ -1,4 +1,4 @@
-"""A study of two short runs, for tests of who runs it."""
+"""A study of two short runs, for tests of who runs it, and one of two set-ups, for tests of files."""
 
 from contextlib import redirect_stderr, redirect_stdout
 
@@ -24,6 +24,25 @@ n_cycles = 1
 n_batches = 2
 n_test_rollouts = 1
 total_timesteps = 200
+"""
+GOOD = """
+name = "toy"
+[compare]
+polyak = [0.95, 0.9]
+[grid]
+batch-size = [16, 32]
+polyak = [0.9, 0.95]
+seed = "0-1, 7"
+[setups.reach]
+algo = "ddpg_her"
+env = "point-reach"
+measure = "test_success_rate"
+[setups.ppo]
+env = "lqr"
+anneal-lr = true
+hidden = [16, 16]
+compare = {n_passes = [4, 2]}
+grid = {n_passes = [2, 4], seed = 3}
 """
 
 

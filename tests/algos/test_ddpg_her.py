@@ -46,7 +46,7 @@ class GoalEnv(gym.Env):
         self.action_space = gym.spaces.Box(-2.0, 2.0, (3,), np.float32)
         self.scale, self.offset, self.bad_reward = scale, offset, reward
         self.length, self.terminated, self.reward_scale = length, terminated, reward_scale
-        self.steps, self.seeds, self.actions = 0, [], []
+        self.steps, self.seeds = 0, []
 
     def _obs(self):
         observation = self.offset + self.scale * self.np_random.standard_normal(4)
@@ -61,7 +61,6 @@ class GoalEnv(gym.Env):
         return self._obs(), {}
 
     def step(self, action):
-        self.actions.append(action)
         self.steps += 1
         obs, ended = self._obs(), self.steps >= self.length
         achieved, desired = (obs[k].astype(np.float32) for k in ("achieved_goal", "desired_goal"))

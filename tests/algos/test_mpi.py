@@ -1,7 +1,10 @@
-"""Several processes: equal parameters on all ranks, one writer, and no rank left waiting."""
+"""Several processes: equal parameters on all ranks, one writer, and no rank left waiting.
+
+Two ranks do all of it in one launch, since each imports PyTorch for seconds."""
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,144 +22,12 @@ pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
 pytestmark = [
     pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)"),
-    pytest.mark.usefixtures("in_tmp", "one_launch"),
+    pytest.mark.usefixtures("in_tmp"),
 ]
 REACH = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "16", "--n-cycles", "2"]
 REACH += ["--n-batches", "5", "--n-test-rollouts", "1"]
 TOY = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "240", "--n-passes", "2"]
 TOYS = {"ppo": TOY, "ddpg_her": REACH}
-
-
-def mpirun(args, ranks=2, timeout=400):
-    command = [str(MPIRUN), "--oversubscribe", "-n", str(ranks), sys.executable, *args]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
-
-
-# What three ranks do in one launch: reductions, minibatches, and commands, of which rank 0 refuses the
-# last.
-LAUNCHED = """
-import json, sys
-import numpy as np, torch
-from tactilerl import envs
-from tactilerl.algos import mpi
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.replay import Batch
-from tactilerl.commands.cli import main
-from tactilerl.envs import vector
-comm, alone = mpi.world(), mpi.Communicator()
-def vec(learner):
-    return torch.cat([p.detach().ravel() for p in learner.actor_parameters + learner.critic_parameters])
-assert comm.size == comm.local_size == 3
-x = torch.arange(4.0) + comm.rank
-comm.sum_(x)
-assert x.tolist() == [3.0, 6.0, 9.0, 12.0]
-y = torch.full((2,), float(comm.rank))
-comm.broadcast_(y)
-assert y.tolist() == [0.0, 0.0]
-assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [3.0, 3.0]
-assert min(comm.all_gather(5 - comm.rank)) == 3
-assert comm.all_gather(comm.rank) == [0, 1, 2]
-assert list(comm.receive(comm.rank)) == ([0, 1, 2] if comm.rank == 0 else [])
-assert mpi.same_on_all_ranks(comm, torch.ones(3))
-assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
-print("reductions agree with numpy")
-
-pool = vector.start(lambda: envs.make("point-reach"))
-config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
-parts, whole = (DDPGHER(config, pool, world, 0, 1) for world in (comm, alone))
-rng = np.random.default_rng(0)
-for _ in range(50):
-    shapes = (96, 4), (96, 2), (96, 2), (96,), (96, 4), (96,)
-    batch = Batch(*(torch.from_numpy(rng.standard_normal(n).astype(np.float32)) for n in shapes))
-    mine = slice(32 * comm.rank, 32 * comm.rank + 32)
-    parts._update_networks(Batch(*(part[mine] for part in batch)))
-    whole._update_networks(batch)
-assert mpi.same_on_all_ranks(comm, vec(parts))
-start = vec(DDPGHER(config, pool, alone, 0, 1))
-moved = (vec(whole) - start).norm()
-assert (vec(whole) - vec(parts)).norm() < 1e-3 * moved
-# and the normalizer has seen one stream
-for rows in 1e6 + rng.standard_normal((5, 3, 10, 2)):
-    parts.goal_stats.update(rows[comm.rank])
-    whole.goal_stats.update(rows.reshape(-1, 2))
-np.testing.assert_allclose(parts.goal_stats.std, whole.goal_stats.std, rtol=1e-9)
-print("three ranks equal one with all batches")
-for command in json.loads(sys.argv[1]):
-    main(command)
-"""
-
-
-@pytest.fixture(scope="module")
-def launched(tmp_path_factory, launches):
-    """The folder where LAUNCHED ran, and how it ended."""
-    folder = tmp_path_factory.mktemp("launched")
-    (folder / "taken").mkdir()
-    (folder / "taken/notes.txt").touch()  # it holds no run
-    (folder / "check.py").write_text(LAUNCHED)
-    commands = []
-    for name, toy in TOYS.items():
-        commands += [[*toy, "--total-timesteps", "600", "--out", f"{name}_whole"]]
-        commands += [[*toy, "--total-timesteps", "200", "--out", f"{name}_parts"]]
-        commands += [["train", "--resume", f"{name}_parts", "--total-timesteps", "600"]]
-    commands += [[*TOY, "--out", "taken"]]
-    with pytest.MonkeyPatch.context() as patch, launches:
-        patch.chdir(folder)
-        return folder, mpirun(["-m", "mpi4py", "check.py", json.dumps(commands)], ranks=3)
-
-
-def test_reductions_agree_with_numpy(launched):
-    assert launched[1].stdout.count("reductions agree with numpy") == 3, launched[1].stderr
-
-
-def test_three_ranks_equal_one_with_all_batches(launched):
-    """Gradients averaged over three ranks with batch B take the steps of one with batch 3 B."""
-    assert launched[1].stdout.count("three ranks equal one with all batches") == 3, launched[1].stderr
-
-
-@pytest.mark.parametrize("toy", TOYS)
-def test_ranks_train_one_writes_and_resume_is_exact(launched, toy):
-    folder, result = launched
-    assert result.stdout.count(f"The run is in {toy}_whole") == 1, result.stderr
-    assert json.loads((folder / f"{toy}_whole/config.json").read_text())["ranks"] == 3
-    whole, parts = (
-        torch.load(folder / f"{toy}_{run}/checkpoint.pt", weights_only=True)["ranks"]
-        for run in ("whole", "parts")
-    )
-    # Whole epochs: of PPO 240 steps.
-    assert [rank["env_steps"] for rank in whole] == 3 * [720 if toy == "ppo" else 600]
-    for a, b in zip(whole, parts, strict=True):
-        assert flat(a) == flat(b)
-    assert len(set(map(flat, whole))) == 1  # bit-equal parameters
-
-
-def test_ppo_learns_the_same_on_any_number_of_ranks(launched):
-    """The same episodes, and the same steps up to rounding; an epoch is not longer for it."""
-    assert main([*TOY, "--total-timesteps", "600", "--out", "one"]) == 0
-    tables = []
-    for run in (Path("one"), launched[0] / "ppo_whole"):
-        with open(run / "progress.csv", newline="") as file:
-            tables.append([{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)])
-    one, more = tables
-    assert [row["env_steps"] for row in one] == [240, 480, 720]
-    for key in ("env_steps", "episodes", "mean_return", "policy_loss", "value_loss", "kl"):
-        np.testing.assert_allclose(
-            [row[key] for row in more], [row[key] for row in one], rtol=1e-3, atol=1e-4
-        )
-    assert more[0]["mean_return"] == one[0]["mean_return"]  # before anything was learned
-
-
-def test_bad_input_on_one_rank_ends_all(launched):
-    assert launched[1].returncode == 2, launched[1].stderr
-    assert "'taken' exists" in launched[1].stderr
-
-
-@pytest.mark.parametrize("toy", TOYS)
-def test_another_number_of_ranks_is_refused(launched, toy, capsys):
-    run = launched[0] / f"{toy}_whole"
-    words = "ranks: found 1, the run was made with 3"
-    fails_with(capsys, ["train", "--resume", run, "--total-timesteps", "800"], words)
-
-
 # A goal environment with a fault: after 40 steps rank 1 sees what is not a number.
 FAULTY = """
 import os
@@ -175,15 +46,130 @@ class Faulty(PointReachEnv):
 
 gym.register("Faulty-v0", entry_point=Faulty)
 """
+# Reductions, minibatches, and commands, of which the last one fails on rank 1.
+LAUNCHED = """
+import json, sys
+import numpy as np, torch
+from tactilerl import envs
+from tactilerl.algos import mpi
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.replay import Batch
+from tactilerl.commands.cli import main
+from tactilerl.envs import vector
+comm, alone = mpi.world(), mpi.Communicator()
+def vec(learner):
+    return torch.cat([p.detach().ravel() for p in learner.actor_parameters + learner.critic_parameters])
+assert comm.size == comm.local_size == 2
+x = torch.arange(4.0) + comm.rank
+comm.sum_(x)
+assert x.tolist() == [1.0, 3.0, 5.0, 7.0]
+y = torch.full((2,), float(comm.rank))
+comm.broadcast_(y)
+assert y.tolist() == [0.0, 0.0]
+assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [1.0, 2.0]
+assert comm.all_gather(comm.rank) == [0, 1]
+assert list(comm.receive(comm.rank)) == ([0, 1] if comm.rank == 0 else [])
+assert mpi.same_on_all_ranks(comm, torch.ones(3))
+assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
+print("reductions agree with numpy")
+
+pool = vector.start(lambda: envs.make("point-reach"))
+config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
+parts, whole = (DDPGHER(config, pool, world, 0, 1) for world in (comm, alone))
+rng = np.random.default_rng(0)
+for _ in range(50):
+    shapes = (64, 4), (64, 2), (64, 2), (64,), (64, 4), (64,)
+    batch = Batch(*(torch.from_numpy(rng.standard_normal(n).astype(np.float32)) for n in shapes))
+    mine = slice(32 * comm.rank, 32 * comm.rank + 32)
+    parts._update_networks(Batch(*(part[mine] for part in batch)))
+    whole._update_networks(batch)
+assert mpi.same_on_all_ranks(comm, vec(parts))
+start = vec(DDPGHER(config, pool, alone, 0, 1))
+moved = (vec(whole) - start).norm()
+assert (vec(whole) - vec(parts)).norm() < 1e-3 * moved
+# and the normalizer has seen one stream
+for rows in 1e6 + rng.standard_normal((5, 2, 10, 2)):
+    parts.goal_stats.update(rows[comm.rank])
+    whole.goal_stats.update(rows.reshape(-1, 2))
+np.testing.assert_allclose(parts.goal_stats.std, whole.goal_stats.std, rtol=1e-9)
+print("two ranks equal one with all batches")
+for command in json.loads(sys.argv[1]):
+    main(command)
+"""
 
 
-def test_a_fault_on_one_rank_ends_all_with_the_reason(monkeypatch):
-    Path("faulty.py").write_text(FAULTY)
-    monkeypatch.setenv("PYTHONPATH", str(Path.cwd()))
-    args = ["faulty:Faulty-v0" if arg == "point-reach" else arg for arg in REACH]
-    result = mpirun(["-m", "tactilerl", *args, "--out", "run"])
-    assert result.returncode == 1
-    assert "observation of the environment is not finite" in result.stderr
+@pytest.fixture(scope="module")
+def launched(tmp_path_factory, launches):
+    """The folder where LAUNCHED ran, and how it ended."""
+    folder = tmp_path_factory.mktemp("launched")
+    (folder / "check.py").write_text(LAUNCHED)
+    (folder / "faulty.py").write_text(FAULTY)
+    commands = []
+    for name, toy in TOYS.items():
+        commands += [[*toy, "--total-timesteps", "400", "--out", f"{name}_whole"]]
+        commands += [[*toy, "--total-timesteps", "200", "--out", f"{name}_parts"]]
+        commands += [["train", "--resume", f"{name}_parts", "--total-timesteps", "400"]]
+    faulty = ["faulty:Faulty-v0" if arg == "point-reach" else arg for arg in REACH]
+    commands += [[*faulty, "--out", "faulty_run"]]
+    command = [str(MPIRUN), "--oversubscribe", "-n", "2", sys.executable, "-m", "mpi4py", "check.py"]
+    command += [json.dumps(commands)]
+    with pytest.MonkeyPatch.context() as patch, launches:
+        patch.chdir(folder)
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), *sys.path]))
+        return folder, subprocess.run(command, capture_output=True, text=True, timeout=400)
+
+
+def test_reductions_agree_with_numpy(launched):
+    assert launched[1].stdout.count("reductions agree with numpy") == 2, launched[1].stderr
+
+
+def test_two_ranks_equal_one_with_all_batches(launched):
+    """Gradients averaged over two ranks with batch B take the steps of one with batch 2 B."""
+    assert launched[1].stdout.count("two ranks equal one with all batches") == 2, launched[1].stderr
+
+
+@pytest.mark.parametrize("toy", TOYS)
+def test_ranks_train_one_writes_and_resume_is_exact(launched, toy):
+    folder, result = launched
+    assert result.stdout.count(f"The run is in {toy}_whole") == 1, result.stderr
+    assert json.loads((folder / f"{toy}_whole/config.json").read_text())["ranks"] == 2
+    whole, parts = (
+        torch.load(folder / f"{toy}_{run}/checkpoint.pt", weights_only=True)["ranks"]
+        for run in ("whole", "parts")
+    )
+    # Whole epochs: of PPO 240 steps.
+    assert [rank["env_steps"] for rank in whole] == 2 * [480 if toy == "ppo" else 400]
+    for a, b in zip(whole, parts, strict=True):
+        assert flat(a) == flat(b)
+    assert len(set(map(flat, whole))) == 1  # bit-equal parameters
+
+
+def test_ppo_learns_the_same_on_any_number_of_ranks(launched):
+    """The same episodes, and the same steps up to rounding; an epoch is not longer for it."""
+    assert main([*TOY, "--total-timesteps", "400", "--out", "one"]) == 0
+    tables = []
+    for run in (Path("one"), launched[0] / "ppo_whole"):
+        with open(run / "progress.csv", newline="") as file:
+            tables.append([{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)])
+    one, more = tables
+    assert [row["env_steps"] for row in one] == [240, 480]
+    for key in ("env_steps", "episodes", "mean_return", "policy_loss", "value_loss", "kl"):
+        np.testing.assert_allclose(
+            [row[key] for row in more], [row[key] for row in one], rtol=1e-3, atol=1e-4
+        )
+    assert more[0]["mean_return"] == one[0]["mean_return"]  # before anything was learned
+
+
+def test_a_fault_on_one_rank_ends_all_with_the_reason(launched):
+    assert launched[1].returncode == 1, launched[1].stderr
+    assert "observation of the environment is not finite" in launched[1].stderr
+
+
+@pytest.mark.parametrize("toy", TOYS)
+def test_another_number_of_ranks_is_refused(launched, toy, capsys):
+    run = launched[0] / f"{toy}_whole"
+    words = "ranks: found 1, the run was made with 2"
+    fails_with(capsys, ["train", "--resume", run, "--total-timesteps", "800"], words)
 
 
 @pytest.mark.parametrize(

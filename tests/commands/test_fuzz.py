@@ -21,6 +21,7 @@ from tactilerl.runs.config import RunOptions
 from tactilerl.study import jobs, records
 
 from study_records import make_study
+from tiny_study import GOOD
 
 FEW = 40  # times as many cases are tried with `-m slow`
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
@@ -43,27 +44,6 @@ digits = ["index"]
 segments = ["middle"]
 offsets_mm = [[0, 0]]
 radius_mm = 1
-"""
-
-
-STUDY = """
-name = "toy"
-[compare]
-polyak = [0.95, 0.9]
-[grid]
-polyak = [0.9, 0.95]
-seed = "0-{last}"
-[setups.reach]
-algo = "ddpg_her"
-env = "point-reach"
-measure = "test_success_rate"
-total_timesteps = 3000
-[setups.ppo]
-env = "lqr"
-hidden = [16, 16]
-total_timesteps = 3000
-compare = {n_passes = [4, 2]}
-grid = {n_passes = [2, 4], seed = 0}
 """
 SCENE = """about = "mine"
 base = "handover"
@@ -96,7 +76,7 @@ def trained(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
-    return make_study(tmp_path_factory.mktemp("made-up") / "study", STUDY, n_seeds=2).path
+    return make_study(tmp_path_factory.mktemp("made-up") / "study", GOOD).path
 
 
 @pytest.fixture
@@ -157,53 +137,39 @@ def test_flags(run, tried, cases):
         tried(args, "flags")
 
 
-@pytest.mark.parametrize(
-    ("file", "args", "good"),
-    [
-        ("mine.toml", ["env", "--layout", "mine.toml"], LAYOUT),
-        ("mine.toml", ["env", "--scene", "mine.toml"], SCENE),
-    ],
-    ids=["layout", "scene"],
-)
-def test_files(here, tried, cases, file, args, good):
-    rng = random.Random(1)
-    Path(file).write_text(good, encoding="utf-8")
+HAND = Path(__file__).parents[1] / "hands"
+FILES = [  # which is damaged, what reads it, what it holds, and how often
+    ("mine.toml", ["env", "--layout", "mine.toml"], LAYOUT, 150),
+    ("mine.toml", ["env", "--scene", "mine.toml"], SCENE, 150),
+    ("gripper.toml", ["env", "--env", "gripper.toml"], (HAND / "gripper.toml").read_text(), 400),
+    ("run/config.json", ["evaluate", "run", "--episodes", "1"], None, 250),
+    ("run/progress.csv", ["train", "--resume", "run"], None, 150),
+]
+
+
+@pytest.mark.parametrize(("file", "args", "good", "n"), FILES)
+def test_files(run, tried, cases, read_here, file, args, good, n):
+    """Nothing of a table of progress is lost where a command ends with an error."""
+    rng, path = random.Random(1), Path(file)
+    shutil.copy(HAND / "gripper.xml", ".")
+    good = good or path.read_text()
+    path.write_text(good, encoding="utf-8")
     assert tried(args, good) == 0
-    for _ in cases(150):
-        Path(file).write_text(mutated(good, rng), encoding="utf-8")
-        tried(args, Path(file).read_text(encoding="utf-8"))
-
-
-def test_configurations(run, tried, cases):
-    rng, good = random.Random(2), (run / "config.json").read_text()
-    for i in cases(250):
-        if i % 2:
-            text = mutated(good, rng)
-        else:
-            data = json.loads(good)
-            replace_leaf(data, rng.choice(VALUES), rng)
-            text = json.dumps(data)
-        (run / "config.json").write_text(text, encoding="utf-8")
-        tried(["evaluate", "run", "--episodes", "1"], text)
-
-
-def test_progress(run, tried, cases):
-    rng, good = random.Random(3), (run / "progress.csv").read_text()
-    for i in cases(150):
-        bad = mutated(good, rng).encode()
-        bad = bad if i % 3 else bad[: rng.randrange(len(bad) + 1)]
-        (run / "progress.csv").write_bytes(bad)
-        code = tried(["train", "--resume", "run"], bad)
-        after = (run / "progress.csv").read_bytes() if (run / "progress.csv").exists() else b""
-        assert bad == after if code else bad.startswith(after)
+    for i in cases(n):
+        bad = damaged(good, path.suffix, i, rng)
+        path.write_bytes(bad)
+        code = tried(args, bad)
+        if path.suffix == ".csv":
+            after = path.read_bytes() if path.exists() else b""
+            assert bad == after if code else bad.startswith(after)
 
 
 def test_studies(here, tried, cases, monkeypatch):
     """Everything but the training itself, which takes minutes where a study is still one."""
     monkeypatch.setattr(jobs, "run_all", lambda todo, pool, on_end: None)
-    rng, good = random.Random(6), STUDY.replace("{last}", "1")
+    rng = random.Random(6)
     for i in cases(400):
-        Path("study.toml").write_text(mutated(good, rng) if i else good, encoding="utf-8")
+        Path("study.toml").write_text(mutated(GOOD, rng) if i else GOOD, encoding="utf-8")
         code = tried(["study", "run", "study.toml", "--out", f"out/{i}"], f"study {i}")
         assert i or code == 0
 
@@ -216,14 +182,8 @@ def test_study_folders(study, tried, cases):
         shutil.rmtree(study)
         shutil.copytree(good, study)
         path = rng.choice([*study.rglob(rng.choice(named))])
-        text = path.read_text()
-        if path.suffix == ".json" and i % 2:
-            data = json.loads(text)
-            replace_leaf(data, rng.choice(VALUES), rng)
-            path.write_text(json.dumps(data), encoding="utf-8")
-        else:
-            path.write_text(mutated(text, rng), encoding="utf-8")
-        what = f"{path}: {path.read_text()[:1000]}"
+        path.write_bytes(damaged(path.read_text(), path.suffix, i, rng))
+        what = f"{path}: {path.read_bytes()[:1000]}"
         tried(["study", "status", "study", "--json"], what)
         if tried(["study", "collect", "study", "--out", "collected.tar.gz", "--overwrite"], what) == 0:
             require_sound(records.load(study)[1])
@@ -257,6 +217,16 @@ def require_sound(found):
             assert np.isfinite(steps).all()
             assert (np.diff(steps) >= 0).all()
             assert not ((rates < 0) | (rates > 1)).any()
+
+
+def damaged(text, suffix, i, rng):
+    """Return a file's bytes with another value in it, cut off, or edited like `mutated`."""
+    if suffix == ".json" and i % 2:
+        data = json.loads(text)
+        replace_leaf(data, rng.choice(VALUES), rng)
+        return json.dumps(data).encode()
+    bad = mutated(text, rng).encode()
+    return bad[: rng.randrange(len(bad) + 1)] if suffix == ".csv" and i % 3 == 0 else bad
 
 
 def replace_leaf(data, value, rng):

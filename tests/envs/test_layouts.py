@@ -169,14 +169,3 @@ def test_the_map_of_a_hand_lights_the_taxels_that_fire(hand):
     changed = [(drawn.picture(one) != dark).any(axis=-1) for one in np.eye(len(taxels), dtype=bool)]
     assert all(places.any() for places in changed)  # every taxel is seen, in a place of its own
     assert (np.sum(changed, axis=0) <= 1).all()
-
-
-CHOSEN = Path(__file__).resolve().parents[2] / "docs/data/chosen"
-
-
-@pytest.mark.parametrize(
-    "file", sorted(CHOSEN.glob("*_pybullet_*.toml")) + sorted(CHOSEN.glob("*_mujoco_*.toml"))
-)
-def test_layouts_that_the_probe_chose_have_the_taxels_they_say(file):
-    hand, _, number = file.stem.split("_")
-    assert len(layouts.load(str(file)).place(hands.get(hand))) == int(number)

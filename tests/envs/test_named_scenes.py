@@ -17,7 +17,7 @@ SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1",
 
 
 @pytest.mark.parametrize("name", scenes.names())
-def test_a_scene_says_who_learns_there_and_is_registered_and_described(name):
+def test_a_scene_says_who_learns_there_and_is_registered_listed_and_described(name, capsys):
     named = scenes.load(name)
     assert named.env in HANDS
     scene = defaults(named.train["algo"], named.env, scene=name).scene
@@ -25,15 +25,11 @@ def test_a_scene_says_who_learns_there_and_is_registered_and_described(name):
         found = getattr(scene, field)
         assert list(found) == value if isinstance(value, list) else str(found) == str(value)
     assert gym.make(scenes.gymnasium_id(name)).unwrapped.config == scene
-    assert main(["env", "--scene", name]) == 0
+    assert main(["env", "--scene", name]) == main(["env"]) == 0
+    assert name in capsys.readouterr().out.split()
 
 
-def test_all_are_listed(capsys):
-    assert main(["env"]) == 0
-    assert set(scenes.names()) <= set(capsys.readouterr().out.split())
-
-
-def test_flags_change_what_a_scene_says(capsys):
+def test_flags_change_what_a_scene_says():
     args = ["train", "--scene", "handover", "--layout", "1", "--touch", "off", *SHORT]
     assert main([*args, "--out", "run"]) == 0
     saved = json.loads(Path("run/config.json").read_text())
@@ -42,10 +38,6 @@ def test_flags_change_what_a_scene_says(capsys):
     scene = saved["scene"]
     assert (scene["task"], scene["layout"], scene["touch"]) == ("handover", "1", "off")
     assert saved["learner"]["orthogonal_init"] is True  # of the recipe
-    capsys.readouterr()
-    assert main(["evaluate", "run", "--episodes", "2", "--json", "--workers", "1"]) == 0
-    assert json.loads(capsys.readouterr().out)["episodes"] == 2
-    assert main(["train", "--resume", "run"]) == 0
 
 
 class TestOwnFile:

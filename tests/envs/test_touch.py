@@ -1,6 +1,7 @@
 """The skin rule against distances known by construction."""
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -75,6 +76,20 @@ def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]), np.tile(np.eye(3), (2, 1, 1))
     box, place = objects.make("box", (0.04,)), [0.0, -R - 0.02, L / 2]
     assert rule.read(state(taxels, poses, box, place, np.eye(3))).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(("gap", "on"), [(touch.SKIN - 1e-4, True), (touch.SKIN + 1e-4, False)])
+def test_boxes_and_hulls_feel_what_is_within_their_skin(gap, on, read_here):
+    """A cube has its face over each taxel of a gripper of boxes and meshes; links are far apart."""
+    hand = hands.get(str(Path(__file__).parents[1] / "hands/gripper.toml"))
+    taxels = layouts.load("5").place(hand)
+    rule, cube, n = touch.SkinTouch(taxels, hand), objects.make("box", (0.04,)), len(taxels.links)
+    poses = np.arange(3.0 * n).reshape(n, 3), np.tile(np.eye(3), (n, 1, 1))
+    for index, normal in enumerate(taxels.normals):
+        turn = np.linalg.svd(normal[None])[2].T[:, [1, 2, 0]]
+        turn *= np.sign(np.linalg.det(turn))
+        place = poses[0][taxels.link_index[index]] + taxels.positions[index] + (0.02 + gap) * normal
+        assert rule.read(state(taxels, poses, cube, place, turn))[index] == on, taxels.names[index]
 
 
 def test_skin_is_the_shape_that_the_simulators_collide(hand):

@@ -275,10 +275,6 @@ class TestModules:
         assert "theirs" not in sys.modules
         assert main([*args, "--import", "theirs"]) == 0
 
-    def test_the_command_that_is_named_at_the_end_works(self, foreign, capsys):
-        out = printed(capsys, [*RESUME, "--import", "theirs"])
-        assert "tactilerl evaluate run --import theirs" in out
-
 
 class TestConfig:
     @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import shutil
 import sys
 from pathlib import Path
 
@@ -41,26 +40,13 @@ def ship(monkeypatch):
     return call
 
 
-@pytest.fixture
-def run(trained, tmp_path):
-    shutil.copytree(trained, tmp_path / "run")
-    return tmp_path / "run"
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    run = tmp_path_factory.mktemp("trained") / "run"
-    cli.main(["train", *TOY, "--total-timesteps", "50", "--workers", "1", "--out", str(run)])
-    (run / ".lock").unlink(missing_ok=True)
-    return run
-
-
 def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_run_ships_without_what_only_training_needs(run, ship, tmp_path, capsys):
-    shipped = tmp_path / "shipped"
+def test_a_run_ships_without_what_only_training_needs(ship, tmp_path, capsys):
+    run, shipped = tmp_path / "run", tmp_path / "shipped"
+    cli.main(["train", *TOY, "--total-timesteps", "50", "--workers", "1", "--out", str(run)])
     before = contents(run)
     for _ in range(2):  # the second time it is there already
         assert ship(run, shipped) == 0

@@ -9,41 +9,36 @@ import tactilerl
 from tactilerl.commands.cli import main
 
 from study_records import make_study
+from tiny_study import TINY
 
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
-STUDY = """
-name = "toy"
-[grid]
-n_passes = [2, 4]
-seed = "0-{last}"
-[setups.ppo]
-env = "lqr"
-"""
+HAND = ["train", "--algo", "ppo", "--env", "mpl", "--simulator", "mujoco", "--task", "reach-goal"]
+HAND += ["--max-episode-steps", "1", "--hidden", "8", "--steps-per-epoch", "2", "--n-passes", "1"]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     assert main([*TRAIN, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
-    make_study(folder / "study", STUDY, n_seeds=2)
+    assert main([*HAND, "--total-timesteps", "1", "--out", str(folder / "hand")]) == 0
+    make_study(folder / "study", TINY)
     return folder
 
 
 @pytest.fixture(autouse=True)
 def here(made, in_tmp):
-    for name in ("run", "study"):
+    for name in ("run", "hand", "study"):
         shutil.copytree(made / name, name)
 
 
+DESIGN = ["design", "--scene", "handover", "--taxels", "1", "--skin", "20mm", "--beside", "2"]
+DESIGN += ["--starts", "2", "--test-starts", "2", "--workers", "1"]
 # What it writes, and how; a folder's first file says whose the folder is.
 WRITERS = {
-    "design/design.json": lambda name, *more: main(
-        ["design", "--taxels", "1..2", "--starts", "20", "--out", "design", *more]
-    ),
+    "design/design.json": lambda name, *more: main([*DESIGN, "--out", "design", *more]),
     "x.tar.gz": lambda name, *more: main(["study", "collect", "study", "--out", name, *more]),
-    "x.jpg": lambda name, *more: main(["render", "--pose", "start", "--out", name, *more]),
     "x.png": lambda name, *more: main(["render", "--pose", "start", "--out", name, *more]),
-    "x.mp4": lambda name, *more: main(["render", "examples", "--video", name, *more]),
+    "x.mp4": lambda name, *more: main(["render", "hand", "--episodes", "1", "--video", name, *more]),
     "report/report.html": lambda name, *more: main(
         ["study", "report", "study", "--out", "report", *more]
     ),
@@ -53,8 +48,6 @@ WRITERS = {
 @pytest.mark.parametrize("name", WRITERS)
 def test_what_exists_stays_unless_it_is_to_be_overwritten(name, capsys):
     Path("victim").write_text("mine")
-    policies = Path(__file__).parents[2] / "examples/policies"
-    os.symlink(policies / "handover_touch", "examples")
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     for put, flags in (

@@ -8,28 +8,9 @@ from tactilerl.errors import InputError
 from tactilerl.study import grid
 
 from one_line import fails_with
-from tiny_study import write
+from tiny_study import GOOD, write
 
 ROOT = Path(__file__).resolve().parents[2]
-GOOD = """
-name = "toy"
-[compare]
-polyak = [0.95, 0.9]
-[grid]
-batch-size = [16, 32]
-polyak = [0.9, 0.95]
-seed = "0-1, 7"
-[setups.reach]
-algo = "ddpg_her"
-env = "point-reach"
-measure = "test_success_rate"
-[setups.ppo]
-env = "point-reach"
-anneal-lr = true
-hidden = [16, 16]
-compare = {n_passes = [4, 2]}
-grid = {n_passes = [2, 4], seed = 3}
-"""
 TOO_MANY = "\n".join(f"flag{i} = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]" for i in range(12))
 
 

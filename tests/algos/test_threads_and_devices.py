@@ -1,7 +1,8 @@
-"""Actor and critic computed at the same time: the same bits as in turn, and errors of either."""
+"""Actor and critic computed at the same time: the same bits as in turn, errors of either; on a GPU."""
 
 import threading
 
+import numpy as np
 import pytest
 import torch
 from tactilerl import envs
@@ -27,13 +28,6 @@ def test_both_run_at_the_same_time_only_where_there_are_two_cores():
     assert threads == (threading.get_ident(),) * 2
 
 
-def test_the_second_thread_treats_denormal_numbers_as_zero():
-    def is_flushed():
-        return bool((torch.full((8,), 1e-38) * 0.1 == 0).all())
-
-    assert learner(True).in_two_threads(is_flushed, is_flushed) == (False, True)
-
-
 @pytest.mark.parametrize("together", [False, True])
 @pytest.mark.parametrize("failing", ["first", "second"])
 def test_an_error_of_either_comes_out(together, failing):
@@ -57,11 +51,14 @@ BOTH = pytest.mark.parametrize(
 @BOTH
 def test_denormal_numbers_are_zero_while_it_learns(algorithm, config, env):
     """Adam's moments of units that are never active fade until they are, and are slow then."""
-    one, seen = learner(False, algorithm, config, env), []
+    one, seen = learner(True, algorithm, config, env), []
     one.collect()
-    step, tiny = one.actor_adam.step, torch.full((8,), 1e-38)
-    one.actor_adam.step = lambda: seen.append(bool((tiny * 0.1 == 0).all())) or step()
+    tiny = torch.full((8,), 1e-38)
+    for adam in (one.actor_adam, one.critic_adam):
+        step = adam.step
+        adam.step = lambda step=step: seen.append(bool((tiny * 0.1 == 0).all())) or step()
     one.update()
+    assert len(seen) >= 2
     assert all(seen)
     assert not (tiny * 0.1 == 0).any()
 
@@ -77,3 +74,22 @@ def test_the_same_bits(algorithm, config, env):
             losses.append(one.update())
         results.append((losses, flat(one.state_dict())))
     assert results[0] == results[1]
+
+
+DEVICES = [
+    "meta",
+    pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
+]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_learner_is_on_its_device_with_all_of_its_networks(device):
+    one = DDPGHER(
+        HER_SMALL, vector.start(lambda: envs.make("point-reach")), Communicator(), 0, 100, device
+    )
+    for network in (one.actor, one.critic, one.target_actor, one.target_critic):
+        assert {p.device.type for p in network.parameters()} == {device}
+    if device == "cuda":
+        one.collect()
+        assert np.isfinite(list(one.update().values())).all()
+        assert next(one.policy().network.parameters()).device.type == "cpu"
