@@ -228,8 +228,13 @@ class Guess:
         return Rotation.from_matrix(after @ before.T).as_rotvec() / STEP
 
     def limits(self, joint: str) -> list[float]:
-        """Return between which angles a joint is driven, rad or m."""
+        """Return between which angles a joint is driven, its followers in their ranges, rad or m."""
         limits = np.array(self.parts.range_of(joint))
+        for coupling in self.parts.follows:
+            if coupling.driver == joint and coupling.is_rigid and coupling.ratio:
+                followed = np.array(self.parts.range_of(coupling.joint))
+                ends = np.sort((followed - coupling.offset) / coupling.ratio)
+                limits = limits.clip(*ends)
         actuator = self.parts.model.actuator(self.parts.driven[joint])
         if actuator.ctrllimited[0]:
             limits = limits.clip(*actuator.ctrlrange)

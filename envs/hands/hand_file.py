@@ -77,7 +77,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         opened={driven[joint]: angle for joint, angle in parts.opened.items()},
         closed={driven[joint]: angle for joint, angle in parts.closed.items()},
         groups=_groups(parts),
-        notes=_notes(parts),
+        notes=_notes(parts) if parts.is_own else (),
         finger_length=_finger_length(sides),
         reach=_reach(parts),
         welded=parts.welded,
@@ -89,18 +89,24 @@ def _hand(parts: Parts, path: Path) -> Hand:
 
 def _notes(parts: Parts) -> tuple[str, ...]:
     """Say what was left out or put into the model."""
-    unranged = [j.name for j in parts.raw.joints if mount.is_unranged(j)]
     bodies = {body.name for body in parts.raw.bodies}
-    roots = model_file.read(parts.unread.model).worldbody.bodies
-    loose = [b.name for b in roots if mount.is_loose(b) and b.name not in bodies]
-    if not parts.is_own:
-        loose = []
+    spec = model_file.read(parts.unread.model)
+    loose = filter(mount.is_loose, spec.worldbody.bodies)
     notes = {
-        "left out, as they move freely beside the hand: ": loose,
+        "left out, as they move freely beside the hand: ": [
+            body.name for body in loose if body.name not in bodies
+        ],
+        "left out of pictures, as their files are missing or cannot be read: meshes ": (
+            model_file.undrawable(spec)
+        ),
         "joints have the library's servos, as these are not one a joint: ": parts.replaced,
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
-        "another: ": [joint for joint in parts.driven if joint in unranged],
+        "another: ": [
+            joint.name
+            for joint in parts.raw.joints
+            if joint.name in parts.driven and mount.is_unranged(joint)
+        ],
     }
     return tuple(text + ", ".join(names) for text, names in notes.items() if names)
 

@@ -37,16 +37,13 @@ def read(path: Path) -> mujoco.MjSpec:
     that is wrong."""
     root, files = parsed(path)
     is_urdf = root.tag == "robot"
-    with quiet():
-        try:
-            text = path.read_text(encoding="utf-8")
-            if is_urdf:
-                _prepare_urdf(root, path)
-            if is_urdf or len(files) > 1:
-                text = ElementTree.tostring(root, encoding="unicode")
-            spec = mujoco.MjSpec.from_string(text)
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
+    with reading():
+        text = path.read_text(encoding="utf-8")
+        if is_urdf:
+            _prepare_urdf(root, path)
+        if is_urdf or len(files) > 1:
+            text = ElementTree.tostring(root, encoding="unicode")
+        spec = mujoco.MjSpec.from_string(text)
     n_bodies, n_geoms = len(spec.bodies), len(spec.geoms)
     if n_bodies > MOST_BODIES or n_geoms > MOST_GEOMS:
         raise ValueError(
@@ -98,33 +95,50 @@ def parsed(path: Path) -> tuple[Element, list[Path]]:
 
 
 def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
-    """Return the files of a model's meshes, textures and height fields. Raise FileNotFoundError for
-    what is there and no file, such as a pipe: MuJoCo would wait for its end."""
+    """Return the files of a model's meshes, textures and height fields that are there.
+
+    Raise FileNotFoundError for a pipe and the like: MuJoCo would wait for its end.
+    """
     folders = {
         "meshes": spec.meshdir,
         "hfields": spec.meshdir,
         "textures": spec.texturedir,
     }
-    files = [
-        path.parent / folder / (Path(each.file).name if spec.strippath else each.file)
-        for kind, folder in folders.items()
-        for each in getattr(spec, kind)
-        if each.file
-    ]
-    for file in files:
-        if file.exists() and not file.is_file():
-            raise FileNotFoundError(f"model: found no file {str(file)!r}")
+    files = []
+    for kind, folder in folders.items():
+        for element in getattr(spec, kind):
+            name = Path(element.file).name if spec.strippath else element.file
+            file = path.parent / folder / name
+            if file.is_file():
+                files.append(file)
+            elif name and file.exists():
+                raise FileNotFoundError(f"model: found no file {str(file)!r}")
     return files
+
+
+def undrawable(spec: mujoco.MjSpec) -> list[str]:
+    """Return the meshes that only pictures need and whose files are missing, empty or damaged."""
+    drawn = {geom.meshname for geom in spec.geoms}
+    drawn -= {geom.meshname for geom in spec.geoms if geom.contype or geom.conaffinity}
+    names = []
+    for mesh in spec.meshes:
+        if mesh.file and mesh.name in drawn:
+            alone = mujoco.MjSpec()
+            alone.modelfiledir, alone.meshdir = spec.modelfiledir, spec.meshdir
+            alone.strippath = spec.strippath
+            alone.add_mesh(name=mesh.name, file=mesh.file)
+            try:
+                compiled(alone)
+            except ValueError:
+                names.append(mesh.name)
+    return names
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return the compiled model. Raise ValueError in one line where it is wrong, a mesh of it cannot be
     found, or is in mm."""
-    with quiet():
-        try:
-            model = spec.compile()
-        except ValueError as error:
-            raise ValueError(f"model: {' '.join(str(error).split())}") from None
+    with reading():
+        model = spec.compile()
     sizes = np.where(model.geom_dataid >= 0, model.geom_rbound, 0.0)
     if sizes.max(initial=0.0) > LARGEST_MESH:
         largest = int(np.argmax(sizes))
@@ -147,6 +161,16 @@ def quiet() -> Iterator[None]:
             yield
     finally:
         before.set()
+
+
+@contextmanager
+def reading() -> Iterator[None]:
+    """Have MuJoCo raise its errors as ValueErrors of one line, and print no warnings."""
+    try:
+        with quiet():
+            yield
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"model: {' '.join(str(error).split())}") from None
 
 
 def _forget_defaults(spec: mujoco.MjSpec) -> None:

@@ -200,7 +200,8 @@ class Mount:
                     "is called; rename it"
                 )
         if not visual:
-            spec.discard_visual()
+            with model_file.reading():
+                spec.discard_visual()
         for body in spec.bodies[1:]:
             body.gravcomp = 1.0
             body.mass = self.masses.get(body.name, body.mass)
@@ -231,6 +232,10 @@ class Mount:
         if not self.root and not all(map(is_loose, roots)):
             for body in filter(is_loose, roots):
                 spec.delete(body)
+        undrawable = model_file.undrawable(spec) if self.fuses else ()
+        for geom in spec.geoms:
+            if geom.meshname in undrawable:
+                spec.delete(geom)
         used = {geom.meshname for geom in spec.geoms}
         flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
         alone = len(list(spec.worldbody.bodies)) == 1

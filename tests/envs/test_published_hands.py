@@ -324,6 +324,22 @@ class TestModels:
         assert hand.notes == ("left out, as they move freely beside the hand: ball",)
         assert all(body.name != "ball" for body in hand.build().bodies)
 
+    @pytest.mark.parametrize("content", [None, b"", b"version https://git-lfs.github.com/spec/v1"])
+    def test_what_only_pictures_need_may_be_missing(self, made, tmp_path, content):
+        """Meshes and textures; a mesh that collides is needed."""
+        asset = '<asset><texture name="t" type="2d" file="t.png"/><material name="t" texture="t"/>' \
+                '<mesh name="v" file="v.stl"/></asset><worldbody>'  # fmt: skip
+        drawn = '<geom type="mesh" mesh="v" material="t" contype="0" conaffinity="0"/>'
+        for file in ("v.stl", "t.png") if content is not None else ():
+            (tmp_path / file).write_bytes(content)
+        path = made(on_palm(drawn).replace("<worldbody>", asset))
+        assert hands.get(path).notes[0].startswith("left out of pictures, as their files are missing")
+        assert hands.digest(path)
+        GraspEnv(path, setup(path, layout="5"), render_mode="rgb_array")
+        path = made(on_palm(drawn.replace("0", "1")).replace("<worldbody>", asset))
+        with pytest.raises(ValueError, match=r"model: Error: .*v\.stl"):
+            hands.get(path)
+
     def test_actuators_need_no_names(self, made):
         unnamed = [servo.replace(f'name="{servo[16:19]}" ', "") for servo in ALL]
         hand = hands.get(made(with_more(servos(*unnamed))))
