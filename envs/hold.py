@@ -15,7 +15,7 @@ docs/concepts/tasks.md, "The hold test".
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import count, product
 from typing import Literal
 
 import numpy as np
@@ -42,19 +42,19 @@ class HoldTest:
     look_every: float
     """Time between looks at the object, s."""
     verdict: Verdict = "full"
+    """Kind of the test: in full, or until the object has settled."""
     height: float = 1.0
     """Height of the palm, m."""
     out_of_reach: float = OUT_OF_REACH
     """An object further than this from the palm is in free fall, m."""
     creep: float = 20.0
-    """"settled": by how much creep is sped up and time compressed. What this and the next two cost
+    """Factor by which "settled" speeds creep up and compresses time. What this and the next two cost
     is measured by ``python -m benchmarks hold_verdict``."""
     shake_seconds: float = 0.2
-    """"settled": the jolt of setting off is over after this time, and creep is sped up from then
-    on, s."""
+    """Time after which the jolt of setting off is over, s; "settled" speeds creep up from then on."""
     settle_distance: float = 2e-3
-    """"settled": the object is at rest when no point of it will move by more than this, m, before
-    the compressed test ends and for one look more."""
+    """Distance, m, by which no point of an object at rest will move before the compressed test of
+    "settled" ends, and for one look more."""
 
     def run(self, simulator: Simulator, state: State) -> bool:
         """Return True if the object stays in the hand, from this state on.
@@ -62,42 +62,43 @@ class HoldTest:
         Joint targets stay as they are, but for the slide that rises. Leaves the simulator wherever the
         test ended.
         """
-        timestep, targets = simulator.scene.timestep, state.targets.copy()
+        timestep = simulator.scene.timestep
+        n_substeps = max(1, round(self.look_every / timestep))
+        n_left = max(1, round(self.seconds / timestep))
+        n_shaken = round(self.shake_seconds / self.look_every)
+        rise = RAISE_SPEED * timestep * n_substeps
+        targets, corners = state.targets.copy(), _corners(state)
         # From where the slide is, not from its target: the hand may lag far behind that.
         targets[2] = state.joint_positions[2]
         top = targets[2] + self.height - state.palm[2]
-        every, left = (
-            max(1, round(s / timestep)) for s in (self.look_every, self.seconds)
-        )
-        way, n_looks, corners = RAISE_SPEED * timestep * every, 0, _corners(state)
         try:
-            while True:
-                n_substeps = every
+            for look in count(1):
                 if targets[2] != top:  # the palm does not turn, but rise and stay
-                    targets[2] += np.clip(top - targets[2], -way, way)
+                    targets[2] += np.clip(top - targets[2], -rise, rise)
                 else:
-                    n_substeps = min(every, left)
-                    left -= n_substeps
+                    n_substeps = min(n_substeps, n_left)
+                    n_left -= n_substeps
                 simulator.step(targets, n_substeps)
                 state, before = simulator.state(), corners
-                corners, n_looks = _corners(state), n_looks + 1
-                is_at_top = bool(targets[2] == top)
+                corners, is_at_top = _corners(state), bool(targets[2] == top)
                 if not np.linalg.norm(_in_hand(state)) <= self.out_of_reach:
                     return False
-                if is_at_top and not left:
-                    return True
+                if is_at_top and not n_left:
+                    break
                 if self.verdict == "full":
                     continue
-                n_shaken = round(self.shake_seconds / self.look_every)
-                compressed = (n_looks - n_shaken) * self.look_every
+                compressed = (look - n_shaken) * self.look_every
                 if compressed >= 0:
                     simulator.set_creep(self.creep)
                 furthest = float(np.linalg.norm(corners - before, axis=1).max())
-                figures = furthest / self.look_every, compressed, is_at_top
-                if compressed > 0 and self._settles(state, *figures):
-                    return True
+                speed = furthest / self.look_every
+                if compressed > 0 and self._settles(
+                    state, speed, compressed, is_at_top
+                ):
+                    break
         finally:
             simulator.set_creep(1.0)
+        return True
 
     def _settles(
         self, state: State, speed: float, compressed: float, is_at_top: bool

@@ -51,7 +51,7 @@ class ObjectConfig:
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:
-    """Return a shape from its measures in m; ValueError for another number of them.
+    """Return a shape from its measures in m; raise ValueError for another number of them.
 
     A box has edges (one: a cube), a sphere a diameter, a cylinder a diameter and a height (one: both).
     """
@@ -69,9 +69,11 @@ class Item:
     """One object."""
 
     shape: Shape
+    """Kind and size."""
     density: float
     """Density, kg/m³."""
     friction: float
+    """Coefficient of sliding friction."""
 
     @property
     def mass(self) -> float:
@@ -93,40 +95,33 @@ class Items:
 
     def __init__(self, config: ObjectConfig) -> None:
         """Read kinds, sizes and ranges; raise ValueError for one that is none."""
-        self._kinds = _kinds(config.object)
+        kinds: Any = config.object.split(",")
+        for kind in kinds:
+            require_one_of(KINDS, kind, "object")
+        self._kinds: list[Kind] = kinds
         self._sizes = [bounds("object_size", size) for size in config.object_size]
         self._density = bounds("object_density", config.object_density)
         self._friction = bounds("friction", config.friction)
-        ranges = (*self._sizes, self._density, self._friction)
-        self.vary = len(self._kinds) > 1 or any(low < high for low, high in ranges)
         highest = tuple(high for _, high in self._sizes)
         largest = [make(kind, highest) for kind in self._kinds]
         self.width = max(shape.width for shape in largest)
+        """Width of the widest object, m."""
         self.height = max(shape.height for shape in largest)
-        """Height of the highest object, m; `width` is that of the widest."""
+        """Height of the highest object, m."""
         self.smallest = min(low for low, _ in self._sizes)
         """Least of all measures, m."""
         self.first = Item(largest[0], self._density[1], self._friction[1])
-        """The largest of the first kind; the only one where they do not vary."""
+        """The largest and heaviest object of the first kind."""
 
     def draw(self, rng: np.random.Generator) -> Item:
         """Return the object of an episode."""
-        if not self.vary:
-            return self.first
         kind = self._kinds[rng.integers(len(self._kinds))]
         shape = make(kind, tuple(rng.uniform(*size) for size in self._sizes))
         return Item(shape, rng.uniform(*self._density), rng.uniform(*self._friction))
 
 
-def _kinds(names: str) -> tuple[Kind, ...]:
-    each = names.split(",")
-    for name in each:
-        require_one_of(KINDS, name, "object")
-    return tuple(kind for name in each for kind in KINDS if kind == name)
-
-
 def bounds(name: str, value: Number) -> tuple[float, float]:
-    """Return lowest and highest of a number or of "LOW..HIGH"; ValueError, calling it `name`."""
+    """Return lowest and highest of a number or of "LOW..HIGH"; raise ValueError, calling it `name`."""
     parts = value.split("..") if isinstance(value, str) else [value]
     try:
         low, high = float(parts[0]), float(parts[-1])
@@ -150,7 +145,7 @@ def scaled(value: Any, factor: float) -> Any:
     It is rounded to a tenth of a millimetre.
     """
     if isinstance(value, list | tuple):
-        return [scaled(each, factor) for each in value]
+        return [scaled(item, factor) for item in value]
     low, high = (round(factor * end, 4) for end in bounds("a length", value))
     return f"{low:g}..{high:g}" if low < high else low
 
