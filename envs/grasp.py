@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -300,9 +299,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self, achieved_goal: Array, desired_goal: Array, info: Any
     ) -> Array:
         """Return the rewards (...) of goals (..., goal_size), by them alone."""
-        return self.task.compute_reward(
-            np.asarray(achieved_goal), np.asarray(desired_goal)
-        )
+        return self.task.compute_reward(achieved_goal, desired_goal)
 
     @property
     def shape(self) -> Shape:
@@ -335,29 +332,30 @@ class GraspEnv(gym.Env[Any, Array]):
         With "human" show it in MuJoCo's viewer, as every reset and step does.
         """
         if self.render_mode == "human":
-            self.simulator.show([*self.spheres()])
+            self.simulator.show(self._spheres())
         if self.render_mode == "rgb_array":
             return self.picture(simulators.Camera())
         return None
 
     def picture(self, camera: simulators.Camera) -> Array:
         """Return the scene as `camera` sees it, RGB (height, width, 3) uint8."""
-        return self.simulator.render(camera, [*self.spheres()])
+        return self.simulator.render(camera, self._spheres())
 
-    def spheres(self) -> Iterator[Sphere]:
-        """Yield the taxels, to be drawn."""
+    def _spheres(self) -> list[Sphere]:
+        """Return the taxels, to be drawn."""
         if self.config.touch == "absent":
-            return
+            return []
         state, radii = self.simulator.state(), self.taxels.radii
         is_on = np.zeros(len(radii), bool)
         if self.config.touch == "on":
             is_on = self._touch.read(state) > 0
         centres = touch.taxel_points(self.taxels).world(state)
-        for centre, radius, is_lit in zip(centres, radii, is_on, strict=True):
-            if is_lit:
-                yield Sphere(centre, LIT_SCALE * radius, LIT)
-            else:
-                yield Sphere(centre, radius, DARK)
+        return [
+            Sphere(centre, LIT_SCALE * radius, LIT)
+            if is_lit
+            else Sphere(centre, radius, DARK)
+            for centre, radius, is_lit in zip(centres, radii, is_on, strict=True)
+        ]
 
     def close(self) -> None:
         """Release what the simulator holds."""
@@ -375,12 +373,10 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _observe(self) -> Array:
         """Return the policy's observation; raise SimulationError when the physics broke."""
-        touch_kind, n = self.config.touch, len(self.taxels)
-        readings = np.zeros(0 if touch_kind == "absent" else n)
-        if touch_kind == "on":
-            where = f"touch_rule {self.config.touch_rule}: read"
+        kind = self.config.touch
+        readings = np.zeros(0 if kind == "absent" else len(self.taxels))
+        if kind == "on":
             readings = self._touch.read(self.state)
-            readings = plugins.require_array(readings, (n,), where)
         observation = self._observer.observe(self.state, readings)
         largest = np.abs(observation).max()
         if not largest < LIMIT:

@@ -46,8 +46,7 @@ class ObjectConfig:
     @property
     def is_near(self) -> bool:
         """True if the object starts where the hand leaves room for it."""
-        is_usual = self.start_offset <= OFFSET and self.start_yaw <= YAW
-        return is_usual or not self.jitter
+        return self.start_offset <= OFFSET and self.start_yaw <= YAW
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:

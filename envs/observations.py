@@ -372,11 +372,13 @@ class Observer:
             for entry in TERMS[term].entries(hand)
         ]
         taxels = [("taxels", f"taxel {name}") for name in taxel_names]
-        names, self._term_of_entry = [], []
+        names: list[str] = []
+        self._term_of_entry: list[str] = []
         for part in (entries, taxels):
             for age in range(config.history):
-                names += [f"{name} (t-{age})" if age else name for _, name in part]
-                self._term_of_entry += ["" if age else term for term, _ in part]
+                for term, name in part:
+                    names.append(f"{name} (t-{age})" if age else name)
+                    self._term_of_entry.append("" if age else term)
         self.space = NamedBox(names, config.history * len(taxels), is_boolean)
 
     def entries(self, *terms: str) -> Array:

@@ -185,9 +185,8 @@ class ReachGoal(Task):
     def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw the goal above where the first object rests."""
         goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
-        if self.config.goal_range:
-            goal += rng.uniform(-self.config.goal_range, self.config.goal_range, 3)
-        return state.object_position, goal
+        furthest = self.config.goal_range
+        return state.object_position, goal + rng.uniform(-furthest, furthest, 3)
 
     def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
         """Return the object's place; the episode goes on until its last action."""

@@ -241,7 +241,6 @@ class TestTrain:
 MISTAKES = [
     (lambda: tactilerl.train("lqr", gamma=2), "gamma: found 2.0, allowed from 0 to 1"),
     (lambda: tactilerl.train(Short()), r"env: found an environment, .*; PPO\(env\)"),
-    (lambda: tactilerl.make("FetchReach-v4"), "did you mean gymnasium_robotics:FetchReach-v4"),
     (lambda: tactilerl.make("zork:Env-v0"), "No module named 'zork'"),
     (
         lambda: tactilerl.PPO(lambda: gym.make("Pendulum-v1"), workers=2),

@@ -18,7 +18,7 @@ from ..scripted import grasp_search
 from ..terminal.console import beside, progress
 
 LEAST_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
-FAR = 2.0  # times as far off is a camera that sees the hand over an object that fell
+FAR = 0.64  # m, of a camera that sees a hand of usual size over an object that fell
 MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
 
 
@@ -71,9 +71,7 @@ def draw(
     overwrite: bool, grasp: ScriptedGrasp | None = None,
 ) -> None:  # fmt: skip
     """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
-    distance = hands.get(name).reach / hands.Hand.reach * Camera.distance
-    if grasp is not None:
-        distance *= FAR
+    distance = Camera.distance if grasp is None else FAR
     try:
         require_new(path, overwrite)
         camera = Camera(azimuth=300.0, distance=distance)
