@@ -7,12 +7,11 @@ hand gets its own distances; patches of files are in millimetres. `place` puts a
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby, product
+from itertools import groupby, islice, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,10 +43,12 @@ class Taxels:
     """(n, 3), m: row and column on that surface, and 0; of points the height over its middle, not 0."""
 
     def __len__(self) -> int:
+        """Return how many taxels these are."""
         return len(self.points)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
+        """Names of the taxels, unique within a layout."""
         return tuple(point.name for point in self.points)
 
     @cached_property
@@ -81,26 +82,25 @@ class Taxels:
         return np.array([point.threshold_N or 0.0 for point in self.points])
 
     def take(self, chosen: Sequence[int]) -> Taxels:
-        """Return those with these indices."""
-        some = [*chosen]
-        points = tuple(self.points[i] for i in some)
-        return Taxels(points, self.surfaces[some], self.offsets[some])
+        """Return the taxels with these indices."""
+        points, indices = tuple(self.points[i] for i in chosen), list(chosen)
+        return Taxels(points, self.surfaces[indices], self.offsets[indices])
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Taxels on some surfaces: (row, column) offsets, in pitches when `radius` is None, else m."""
+    """Taxels on some surfaces: (row, column) offsets, in pitches when `radius_mm` is None, else mm."""
 
     digits: tuple[str, ...] | None
     """None: all; on the palm all but the thumb."""
     segments: tuple[str, ...] | None
     """None: all but the palm."""
     offsets: tuple[tuple[float, float], ...]
-    radius: float | None = None
-    large: bool = False
-    """Use the hand's large radius (layout 6)."""
+    radius_mm: float | None = None
     threshold_N: float | None = None
     """Force from which they fire, N; None: any touch."""
+    large: bool = False
+    """Use the hand's large radius (layout 6)."""
 
     def is_on(self, digit: str, segment: str) -> bool:
         """Return whether it puts taxels there."""
@@ -114,21 +114,24 @@ class Patch:
 
     def spots(
         self, surface: Surface, pitch: Pitch
-    ) -> Iterator[tuple[tuple[float, float], float, str]]:
-        """Yield place, radius and name of each of its taxels on a surface.
+    ) -> Iterator[tuple[tuple[float, float], Point]]:
+        """Yield (row, column) in m of each of its taxels on a surface, and the taxel without a place.
 
-        The place is (row, column) in m, as is the radius; names are in pitches, or in mm.
+        Names have them in pitches or in mm.
         """
-        where = f"{surface.digit}.{surface.segment}"
         for row, column in self.offsets:
-            if self.radius is not None:
-                name = f"{where}[{1e3 * row:+g},{1e3 * column:+g} mm]"
-                yield (row, column), self.radius, name
-            else:
-                rows = pitch.rows.get(surface.segment, 0.0)
+            place = f"{row:+g},{column:+g}"
+            if self.radius_mm is None:
+                offset = (
+                    row * pitch.rows.get(surface.segment, 0.0),
+                    column * pitch.column,
+                )
                 radius = pitch.large_radius if self.large else pitch.radius
-                offset = row * rows, column * pitch.column
-                yield offset, radius, f"{where}[{row:+g},{column:+g}]"
+            else:
+                offset, radius = (1e-3 * row, 1e-3 * column), 1e-3 * self.radius_mm
+                place += " mm"
+            name = f"{surface.digit}.{surface.segment}[{place}]"
+            yield offset, Point(surface.link, (), (), radius, name, self.threshold_N)
 
 
 @dataclass(frozen=True)
@@ -160,9 +163,9 @@ class PatchTable:
         return Patch(
             self.digits,
             self.segments,
-            tuple((1e-3 * row, 1e-3 * column) for row, column in places),
-            1e-3 * self.radius_mm,
-            threshold_N=self.threshold_N,
+            tuple(places),
+            self.radius_mm,
+            self.threshold_N,
         )
 
 
@@ -196,20 +199,16 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """Return the taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
-        n_taxels = len(self.taxels) + sum(
-            len(patch.offsets)
-            for surface in hand.surfaces
-            for patch in self.patches
-            if patch.is_on(surface.digit, surface.segment)
-        )
-        if n_taxels > MOST_TAXELS:
-            found = f"layout {self.name!r}: found {n_taxels:,} taxels"
+        spots = list(islice(self.on_grids(hand), MOST_TAXELS + 1))
+        if len(spots) + len(self.taxels) > MOST_TAXELS:
+            found = f"layout {self.name!r}: found more taxels on this hand"
             raise ValueError(f"{found}, allowed up to {MOST_TAXELS:,}")
         placed = []
-        for index, surface, offset, radius, name, threshold in self.on_grids(hand):
+        for index, offset, point in spots:
+            surface = hand.surfaces[index]
             if not surface.is_gap(*offset):
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
-                point = Point(surface.link, position, normal, radius, name, threshold)
+                point = point._replace(position=position, normal=normal)
                 placed.append((point, index, (*offset, 0.0)))
         taxels = hand.sensors if self.is_model else self.taxels
         points = [_of_link(point, hand) for point in taxels]
@@ -232,41 +231,36 @@ class Layout:
         lines = [f"description = {validation.quoted(self.description)}"]
         lines += ["partial = true"] if self.partial else []
         for patch in self.patches:
-            offsets = ", ".join(
-                f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets
-            )
+            values = {
+                "digits": patch.digits,
+                "segments": patch.segments,
+                "offsets_mm": patch.offsets,
+                "radius_mm": patch.radius_mm,
+                "threshold_N": patch.threshold_N,
+            }
+            given = [(key, value) for key, value in values.items() if value is not None]
             lines += ["", "[[patch]]"]
-            if patch.digits is not None:
-                lines.append(f"digits = {validation.quoted(patch.digits)}")
-            if patch.segments is not None:
-                lines.append(f"segments = {validation.quoted(patch.segments)}")
-            lines.append(f"offsets_mm = [{offsets}]")
-            lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
-            if patch.threshold_N is not None:
-                lines.append(f"threshold_N = {patch.threshold_N}")
+            lines += [f"{key} = {validation.quoted(value)}" for key, value in given]
         for point in self.taxels:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"
 
-    def on_grids(
-        self, hand: Hand
-    ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str, float | None]]:
+    def on_grids(self, hand: Hand) -> Iterator[tuple[int, tuple[float, float], Point]]:
         """Yield every taxel of a patch, whether or not there is something of the link.
 
-        The parts are index of the surface, the surface, (row, column) on it in m, radius, name and
-        threshold.
+        The parts are index of the surface, (row, column) on it in m, and the taxel without a place.
         """
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
                 if patch.is_on(surface.digit, surface.segment):
-                    for spot in patch.spots(surface, hand.pitch):
-                        yield index, surface, *spot, patch.threshold_N
+                    for offset, point in patch.spots(surface, hand.pitch):
+                        yield index, offset, point
 
     def _require_digits(self, hand: Hand) -> None:
         """Raise ValueError for a digit or a segment that no hand has, or only others."""
         digits = dict.fromkeys((*DIGITS, *hand.digits, "palm"))
-        own = (surface.segment for surface in hand.surfaces)
-        segments = dict.fromkeys((*SEGMENTS, *own, "palm"))
+        names = (surface.segment for surface in hand.surfaces)
+        segments = dict.fromkeys((*SEGMENTS, *names, "palm"))
         where = f"layout {self.name!r}"
         for patch in self.patches:
             for digit in patch.digits or ():
@@ -290,17 +284,12 @@ def _on_surface(
 ) -> tuple[Point, int, tuple[float, float, float]]:
     """Return the point with a normal, which of the hand's surfaces it is on, and where."""
     position, surfaces = np.array(point.position), hand.surfaces
-    distances = [
-        float(np.linalg.norm(position - each.centre))
-        if each.link == point.link
-        else math.inf
-        for each in surfaces
-    ]
-    if min(distances) == math.inf:
+    on_link = [i for i, surface in enumerate(surfaces) if surface.link == point.link]
+    if not on_link:
         links = ", ".join(dict.fromkeys(surface.link for surface in surfaces))
         found = f"taxel {point.name!r}: found link {point.link!r}"
         raise ValueError(f"{found}, allowed: {links}")
-    index = distances.index(min(distances))
+    index = min(on_link, key=lambda i: np.linalg.norm(position - surfaces[i].centre))
     if not point.normal:
         normal = surfaces[index].skin(position)[1]
         point = point._replace(normal=tuple(normal.tolist()))
@@ -318,19 +307,19 @@ def require_places(layout: Layout, hand: Hand) -> None:
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     there |= {(digit, "") for digit in hand.digits}
     palms = [f"{digit}.palm" for digit, segment in there if segment == "palm"]
-    n_wanted, n_lacking, lacking = 0, 0, []
-    for patch in layout.patches:
-        n_taxels = len(patch.offsets)
-        for place in product(patch.digits or (), patch.segments or ("",)):
-            n_wanted += n_taxels
-            if place not in there and place[0] != "palm":
-                n_lacking += n_taxels
-                lacking.append(".".join(filter(None, place)))
+    wanted = [
+        place
+        for patch in layout.patches
+        for place in product(patch.digits or (), patch.segments or ("",))
+        for _ in patch.offsets
+    ]
+    lacking = [place for place in wanted if place not in there and place[0] != "palm"]
     if lacking and not layout.partial:
+        n, names = len(wanted), [".".join(filter(None, each)) for each in lacking]
         raise ValueError(
-            f"layout {layout.name!r}: {n_wanted - n_lacking} of {n_wanted} placed: "
-            f"{', '.join(lacking)} are not on this hand (its palm is {', '.join(sorted(palms))}); "
-            "partial = true in the layout's file leaves them out"
+            f"layout {layout.name!r}: {n - len(lacking)} of {n} placed: "
+            f"{', '.join(dict.fromkeys(names))} are not on this hand (its palm is "
+            f"{', '.join(sorted(palms))}); partial = true in the layout's file leaves them out"
         )
 
 
@@ -350,9 +339,10 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     ]
     there |= {("palm", "palm")}
     missing = [".".join(each) for each in dict.fromkeys(wanted) if each not in there]
-    spots = layout.on_grids(hand)
     return missing + [
-        name for _, surface, at, _, name, _ in spots if surface.is_gap(*at)
+        point.name
+        for index, offset, point in layout.on_grids(hand)
+        if hand.surfaces[index].is_gap(*offset)
     ]
 
 
@@ -413,9 +403,10 @@ def load(name: str) -> Layout:
     if not name.endswith(".toml"):
         path = NAMED / f"{name}.toml"
         if name not in names():
-            allowed = f"{', '.join((*names(), MODEL))} or the path of a file"
-            formats = f".toml, {', '.join(READERS)}"
-            raise ValueError(f"unknown layout {name!r}; allowed: {allowed}: {formats}")
+            allowed = (
+                f"{', '.join((*names(), MODEL, 'FILE.toml'))}, {', '.join(READERS)}"
+            )
+            raise ValueError(f"unknown layout {name!r}; allowed: {allowed}")
     data = validation.read(path, "layout file")
     with validation.blamed(f"layout file {path}"):
         return parse(data, path)
@@ -435,42 +426,23 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
 
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
     """Return the layout with these taxels: in patches those that lie on grids, the others as points."""
-    on_grid, points = [], []
-    for index, point in enumerate(taxels.points):
-        row, column, height = (mm(value) for value in taxels.offsets[index])
+    on_grids, points, patches = [], [], []
+    for point, index, offset in zip(
+        taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True
+    ):
+        row, column, height = map(mm, offset)
         if height:
             points.append(point)
         else:
-            kind = (
-                int(taxels.surfaces[index]),
-                mm(point.radius),
-                point.threshold_N or 0.0,
-            )
-            on_grid.append((kind, row, column))
-    patches = []
-    for kind, group in groupby(sorted(on_grid), key=lambda taxel: taxel[0]):
+            kind = index, mm(point.radius), point.threshold_N or 0.0
+            on_grids.append((*kind, row, column))
+    for kind, group in groupby(sorted(on_grids), key=lambda taxel: taxel[:3]):
         index, radius, threshold = kind
         surface = hand.surfaces[index]
-        offsets = tuple((1e-3 * row, 1e-3 * column) for _, row, column in group)
-        patches.append(
-            Patch(
-                (surface.digit,),
-                (surface.segment,),
-                offsets,
-                1e-3 * radius,
-                threshold_N=threshold or None,
-            )
-        )
+        offsets = tuple((row, column) for *_, row, column in group)
+        names = (surface.digit,), (surface.segment,)
+        patches.append(Patch(*names, offsets, radius, threshold or None))
     return Layout("", description, tuple(patches), tuple(points))
-
-
-def _in_mm(metres: float) -> str:
-    """Return the fewest digits that are read as the same number."""
-    for digits in range(6, 17):
-        text = f"{1e3 * metres:.{digits}g}"
-        if 1e-3 * float(text) == metres:
-            return text
-    return repr(1e3 * metres)
 
 
 def mm(metres: float) -> float:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
+from typing import Annotated
 
 import numpy as np
 
+from ..envs import validation
 from ..envs.hands import Hand, Surface
 from ..envs.layouts import Layout, Patch, Taxels, load, mm
+
+Spacing = Annotated[float, "[0.5, 50]"]
+"""Distance of the taxels of a dense skin, mm."""
 
 
 @dataclass(frozen=True, order=True)
@@ -35,43 +42,32 @@ def of(taxels: Taxels) -> list[Place]:
 def skin(name: str, hand: Hand) -> Taxels:
     """Return a layout's taxels, or those of a dense skin such as "2mm".
 
-    Raise ValueError and FileNotFoundError where there is none.
+    That is a grid over the palmar side of the whole hand, with every segment and a flat palm around the
+    bases of the fingers; its taxels have the radius of the hand's own. Raise ValueError and
+    FileNotFoundError where there is none.
     """
     if "\n" in name or not name.endswith("mm"):
         return load(name).place(hand)
+    allowed = "a layout, or a spacing from 0.5mm to 50mm"
     try:
-        spacing = float(name[:-2])
+        spacing = validation.require_type(float(name[:-2]), Spacing, "skin")
     except ValueError:
-        raise ValueError(
-            f"skin: found {name!r}, allowed a layout, or a spacing such as 2mm"
-        ) from None
-    return dense_skin(hand, 1e-3 * spacing).place(hand)
-
-
-def dense_skin(hand: Hand, spacing: float) -> Layout:
-    """Return a grid of taxels every `spacing` m over the palmar side of the whole hand.
-
-    It covers every segment and a flat palm around the bases of the fingers; taxels have the radius
-    of the hand's own. Raise ValueError for a spacing beyond 0.5 to 50 mm.
-    """
-    if not 0.0005 <= spacing <= 0.05:
-        raise ValueError(f"skin: found {1e3 * spacing:g} mm, allowed from 0.5 to 50 mm")
+        raise ValueError(f"skin: found {name!r}, allowed {allowed}") from None
     patches, radius = [], hand.pitch.radius
     for surface in hand.surfaces:
-        offsets = _grid(surface, spacing, radius)
-        patches.append(Patch((surface.digit,), (surface.segment,), offsets, radius))
-    return Layout(
-        f"{1e3 * spacing:g}mm", f"a taxel every {1e3 * spacing:g} mm", tuple(patches)
-    )
+        offsets = tuple(_grid(surface, 1e-3 * spacing, radius))
+        names = (surface.digit,), (surface.segment,)
+        patches.append(Patch(*names, offsets, 1e3 * radius))
+    return Layout(name, "", tuple(patches)).place(hand)
 
 
 def _grid(
     surface: Surface, spacing: float, radius: float
-) -> tuple[tuple[float, float], ...]:
-    """Return as many rows and columns as the surface carries, through its middle.
+) -> Iterator[tuple[float, float]]:
+    """Yield (row, column) in mm of as many as the surface carries, through its middle.
 
-    The tip of a capsule is round and its taxels stand as on a cylinder: rows go on over the tip as
-    long as a taxel of `radius` m still reaches the skin under it.
+    `spacing` and `radius` are in m. The tip of a capsule is round and its taxels stand as on a
+    cylinder: rows go on over the tip as long as a taxel still reaches the skin under it.
     """
     begin, end, half_width = surface.span
     if surface.segment == "distal" and surface.bone is not None:
@@ -79,5 +75,6 @@ def _grid(
     rows = np.arange(np.ceil(begin / spacing), np.floor(end / spacing) + 1) * spacing
     beside = np.floor(half_width / spacing)
     columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
-    every = ((float(row), float(column)) for row in rows for column in columns)
-    return tuple(place for place in every if not surface.is_gap(*place))
+    for row, column in product(rows.tolist(), columns.tolist()):
+        if not surface.is_gap(row, column):
+            yield 1e3 * row, 1e3 * column

@@ -8,8 +8,8 @@ from tactilerl.pictures import places
 class TestPlaces:
     def test_a_layout_written_from_its_places_is_the_same_layout(self, hand, tmp_path):
         hand = hands.get(hand)
-        for layout in (layouts.load("1"), layouts.load("6"), places.dense_skin(hand, 0.004)):
-            placed = layout.place(hand)
+        for name in ("1", "6", "4mm"):
+            placed = places.skin(name, hand)
             spots = places.of(placed)
             file = tmp_path / "layout.toml"
             file.write_text(layouts.of_taxels(placed, hand, 'a "name"').toml())
@@ -22,7 +22,7 @@ class TestPlaces:
     def test_the_skin_reaches_as_far_as_the_papers_layouts(self, hand):
         """Over the round fingertips too: no taxel of layout 1 is far out beyond the skin."""
         built = hands.get(hand)
-        skin = places.of(places.dense_skin(built, 0.001).place(built))
+        skin = places.of(places.skin("1mm", built))
         for place in places.of(layouts.load("1").place(built)):
             beside = [other for other in skin if other.surface == place.surface]
             assert min(np.hypot(o.row - place.row, o.column - place.column) for o in beside) < 2.5
