@@ -67,7 +67,7 @@ def guess(model: str) -> dict[str, Any]:
 
 
 def judged(name: str, guessed: dict[str, Any]) -> str:
-    """Return "as a person says", or what of a guess a person says otherwise; "" for no guess."""
+    """Return "correct", or what of a guess a person says otherwise; "" for no guess."""
     if not guessed:
         return ""
     palm, palmar, fingers, *digits = HANDS[name]["says"].split()
@@ -80,7 +80,7 @@ def judged(name: str, guessed: dict[str, Any]) -> str:
         "digits": named,
     }
     wrong = [what for what, is_right in rights.items() if not is_right]
-    return f"other {', '.join(wrong)}" if wrong else "as a person says"
+    return f"other {', '.join(wrong)}" if wrong else "correct"
 
 
 def _axis(text: str) -> list[float]:
