@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 from tactilerl.commands import cli
+from tactilerl.envs import layouts
+from tactilerl.study import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -59,7 +61,7 @@ def test_links_lead_somewhere():
                 assert anchor in anchors(target), f"{where}: no such heading"
 
 
-def test_files_that_code_and_docs_name_exist():
+def test_files_that_code_and_docs_name_exist_and_images_are_shown():
     """The changelog names what was."""
     folders = r"(?:algos|envs|tactilerl|benchmarks|tests|tools|studies|docs/data)"
     in_docs = dict.fromkeys(READ, rf"\b{folders}/[a-z0-9_/]+\.(?:py|toml|json)\b")
@@ -68,12 +70,8 @@ def test_files_that_code_and_docs_name_exist():
     for source, pattern in (in_docs | in_code).items():
         for named in re.findall(pattern, source.read_text(encoding="utf-8")):
             assert (ROOT / named).is_file(), f"{source.relative_to(ROOT)}: {named} does not exist"
-
-
-def test_images_are_shown():
     shown = "".join(TEXT[page] for page in READ)
-    hidden = [path.name for path in ROOT.glob("docs/images/*") if path.name not in shown]
-    assert not hidden
+    assert not [path.name for path in ROOT.glob("docs/images/*") if path.name not in shown]
 
 
 # -- commands --------------------------------------------------------------------------------
@@ -208,22 +206,13 @@ def test_excerpts_of_ppo_are_its_lines():
         assert not missing, f"docs/develop/ppo.md: not in algos/ppo.py: {missing}"
 
 
-def test_layout_example_is_a_layout(tmp_path):
-    from tactilerl.envs import layouts
-
-    (_, text), *_ = blocks(ROOT / "docs/guides/layouts.md", "toml")
-    path = tmp_path / "my_layout.toml"
-    path.write_text(text, encoding="utf-8")
-    assert layouts.load(str(path)).patches
-
-
-def test_study_example_is_a_study(tmp_path):
-    from tactilerl.study import grid
-
+def test_examples_of_a_layout_and_of_a_study_are_read(tmp_path):
+    (_, layout), *_ = blocks(ROOT / "docs/guides/layouts.md", "toml")
+    (tmp_path / "layout.toml").write_text(layout, encoding="utf-8")
+    assert layouts.load(str(tmp_path / "layout.toml")).patches
     texts = [text for _, text in blocks(ROOT / "docs/guides/study.md", "toml")]
-    path = tmp_path / "pilot.toml"
-    path.write_text("\n".join(texts), encoding="utf-8")  # a whole one, and what may be added
-    assert grid.read(path).runs()
+    (tmp_path / "pilot.toml").write_text("\n".join(texts), encoding="utf-8")  # with what may be added
+    assert grid.read(tmp_path / "pilot.toml").runs()
 
 
 # -- numbers ---------------------------------------------------------------------------------
