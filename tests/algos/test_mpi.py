@@ -116,7 +116,7 @@ def launched(tmp_path_factory, launches):
     with pytest.MonkeyPatch.context() as patch, launches:
         patch.chdir(folder)
         patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), *sys.path]))
-        return folder, subprocess.run(command, capture_output=True, text=True, timeout=400)
+        return folder, subprocess.run(command, capture_output=True, text=True, timeout=900)
 
 
 def test_reductions_agree_with_numpy(launched):

@@ -229,7 +229,7 @@ def test_stopping_by_sigterm_ends_all_ranks_of_a_run_and_it_can_go_on(tmp_path, 
     out, err = capsys.readouterr()
     assert "Traceback" not in out + err
     assert len(below) >= 3  # mpirun, two ranks
-    until = time.monotonic() + 100
+    until = time.monotonic() + 300
     while any(Path(f"/proc/{pid}/cmdline").exists() for pid in below):
         assert time.monotonic() < until
         time.sleep(0.1)
