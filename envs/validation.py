@@ -181,7 +181,7 @@ def _required(value: Any, hint: Any, where: str) -> Any:
         value = require_type(value, inner[0], where)
         for interval in inner[1:]:  # those of other libraries are no strings
             if isinstance(interval, str) and not _is_within(value, interval):
-                raise ValueError(f"{where}: found {value}, allowed {_span(interval)}")
+                raise ValueError(f"{where}: found {value}, allowed {interval}")
     elif kind is Literal:
         require_one_of(inner, value, where)
     elif kind is tuple and inner:
@@ -236,17 +236,6 @@ def _is_within(value: float, interval: str) -> bool:
     low, high = map(float, interval[1:-1].split(", "))
     is_above = value > low or (interval[0] == "[" and value == low)
     return is_above and (value < high or (interval[-1] == "]" and value == high))
-
-
-def _span(interval: str) -> str:
-    """Return an interval in words."""
-    low, high = interval[1:-1].split(", ")
-    is_from, is_to = interval[0] == "[", interval[-1] == "]"
-    if high == "inf":
-        return f"{low} or more" if is_from else f"a finite number above {low}"
-    if is_from:
-        return f"from {low} to {'' if is_to else 'below '}{high}"
-    return f"above {low}, {'up to' if is_to else 'below'} {high}"
 
 
 def words(hint: Any) -> str:

@@ -13,7 +13,6 @@ print(tactilerl.evaluate(policy, env, episodes=20))
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
@@ -84,7 +83,7 @@ class Learner:
         self._run = validation.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
             validation.validate(part)
-        self._comm, self._epoch, self._process = Communicator(), 0, os.getpid()
+        self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers)
         with _one_thread():  # a thread that is started inside has one too
             started = training.start_learner(self._run, self.config, start, self._comm)
@@ -114,15 +113,8 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
-            total_timesteps = int(total_timesteps)
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.validate(run)
-        if os.getpid() != self._process:  # where its threads are not
-            raise ValueError(
-                "learn: found a process that was forked from the one that made this learner, "
-                "allowed the same one; make a learner here"
-            )
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         with _one_thread():
@@ -256,17 +248,12 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
-    if isinstance(env, gym.Env):
-        raise ValueError(
-            "env: found an environment, allowed a name or an id; PPO(env) and DDPGHER(env) "
-            "learn in an environment"
-        )
+    if out is not None:
+        flags["out"] = str(out)
+    if algo is not None:
+        flags["algo"] = algo
     base = resolve(algo, env or "", recipe, scene, resume)
-    said = {"algo": algo, "out": out and str(out)}
-    chosen = base.choose(
-        {**flags, **{name: value for name, value in said.items() if value}}
-    )
-    return training.train(chosen, mpi.world())
+    return training.train(base.choose(flags), mpi.world())
 
 
 def _start(env: Env, workers: int | None) -> vector.Workers:

@@ -61,15 +61,6 @@ def versions(*more: str) -> dict[str, str]:
     return result
 
 
-def difference(before: Origin, now: Origin) -> str:
-    """Return in words what changed between two origins; "" when nothing did."""
-    old, new = (
-        {**each["versions"], "commit": short(each["commit"])} for each in (before, now)
-    )
-    changed = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-    return ", ".join(f"{name} {old.get(name)} -> {new.get(name)}" for name in changed)
-
-
 def short(commit: str | None) -> str:
     """Return the first 12 letters of a commit, and its "-dirty"."""
     name, dash, dirty = (commit or "none").partition("-")

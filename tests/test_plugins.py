@@ -97,9 +97,7 @@ def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
     flat = "task flat: found an array (2,), allowed numbers of shape (3,)"
     fails_with(capsys, [*train, "flat"], flat)
     assert main([*train, "broken"]) == 1
-    lines = capsys.readouterr().err.splitlines()
-    assert "tactilerl: error: in the module their_package: KeyError: 'nothing'" in lines
-    assert 'return {}["nothing"]' in "".join(lines[-4:])
+    assert 'return {}["nothing"]' in capsys.readouterr().err
     fails_with(capsys, [*theirs, "--task", "esay"], "allowed: lift-and-hold", "easy")
     assert main([*theirs, "--task", "own", "--reward", "far"]) == 0
 

@@ -10,7 +10,6 @@ import time
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 
 from ..errors import BAD_INPUT, BUSY, BusyError, InputError, input_errors
 from ..version import __version__
@@ -44,9 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(nowhere, stream.fileno())
-    except Exception as error:
-        if module := _module_of(error):
-            _say("error", f"in the module {module}: {type(error).__name__}: {error}")
+    except Exception:
         traceback.print_exc()
         code = 1
     if code and "mpi4py" in sys.modules:
@@ -97,28 +94,13 @@ def _call(name: str, args: list[str], modules: list[str]) -> int:
     if name not in COMMANDS:
         allowed = ", ".join(COMMANDS)
         raise InputError(f"unknown command {name!r}, allowed: {allowed}")
-    if modules:
-        from ..envs import plugins
+    with input_errors():
+        if modules:
+            from ..envs import plugins
 
-        with input_errors():
             plugins.import_modules(modules)
-    try:
-        return int(import_module(f".{name}", __package__).main(args))
-    except Exception as error:
-        if not _is_of_importing_mujoco(error.__cause__ or error):
-            raise
-        raise InputError(
-            f"MUJOCO_GL: found {os.environ['MUJOCO_GL']!r}, which does not work here ({error}); "
-            "install its library, or unset it where nothing is drawn"
-        ) from error
-
-
-def _is_of_importing_mujoco(error: BaseException) -> bool:
-    """Return whether MuJoCo could not be imported, for the way to draw that was asked for."""
-    if "mujoco" in sys.modules or "MUJOCO_GL" not in os.environ:
-        return False
-    frames = traceback.extract_tb(error.__traceback__)
-    return any(Path(frame.filename).parent.name == "mujoco" for frame in frames)
+        command = import_module(f".{name}", __package__)
+    return int(command.main(args))
 
 
 def _module_of(error: Exception) -> str:

@@ -8,13 +8,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import algos
 from ..algos.learner import progress_remaining
-from ..algos.policy import Policy, Spaces, network_sizes
+from ..algos.policy import Policy, Spaces
 from ..files import damage_named
 from .config import RunConfig, from_saved
 from .store import RunDir, read_tensors, write_tensors
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from ..algos.learner import Learner
 
 FORMAT = 1  # of a policy's file
-FLOAT = 4  # bytes
 POLICY = {
     "policy_format": int,
     "algo": str,
@@ -59,7 +57,7 @@ def load_policy(path: str | Path) -> Policy:
         config = from_saved(config_type, json.loads(data["learner"]), "learner")
         config.validate()
         spaces = Spaces.from_json(data["spaces"])
-        return _policy(path, data["algo"], config, spaces, data["state"])
+        return _policy(data["algo"], config, spaces, data["state"])
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -91,16 +89,8 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     write_tensors(path, content)
 
 
-def _policy(
-    path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]
-) -> Policy:
-    """Return the policy in a learner's state.
-
-    Raise ValueError, before a network is made, where it would be larger than its file.
-    """
-    sizes = network_sizes(config.hidden, spaces)
-    if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:
-        raise ValueError(f"hidden: found {config.hidden}, more than the file holds")
+def _policy(algo: str, config: Any, spaces: Spaces, state: dict[str, Any]) -> Policy:
+    """Return the policy in a learner's state."""
     policy: Policy = algos.get(algo)[1].saved_policy(config, spaces, state)
     return policy
 
@@ -117,7 +107,7 @@ def read_run(path: Path) -> Trained:
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
         acting = saved.learner.acting(remaining)
-        policy = _policy(file, saved.run.algo, acting, spaces, state)
+        policy = _policy(saved.run.algo, acting, spaces, state)
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

@@ -156,16 +156,15 @@ class RunDir:
 
     def write_config(
         self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0
-    ) -> str:
+    ) -> None:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
         A run that goes on after `epoch` with other versions keeps the record of those before.
-        Returns in words what changed.
         """
         origins = self.record()["provenance"] if self.config_file.exists() else []
         now = machine.origin(epoch, env_steps)
-        changed = machine.difference(origins[-1], now) if origins else ""
-        if changed or not origins:
+        same = {name: now[name] for name in ("versions", "commit")}
+        if not origins or not origins[-1].items() >= same.items():
             origins.append(now)
         digest, env, copy = config.hand, config.run.env, self.path / HAND_COPY
         if not digest and config.scene and env not in hands.HANDS:  # it begins
@@ -179,7 +178,6 @@ class RunDir:
         content |= {"provenance": origins, "hand": digest}
         with replacing(self.config_file) as file:
             file.write(as_json(content))
-        return changed
 
     def read_config(self) -> RunConfig:
         """Return the run's configuration; InputError when there is none, or an older version's."""
@@ -432,7 +430,7 @@ def resolve(
     Imports the module that `env` names. Raise InputError where `resume` holds no such run, or a scene
     is named as well.
     """
-    module, colon, _ = env.partition(":")
+    module, colon, _ = str(env).partition(":")
     if colon and ENV_ID.fullmatch(env):
         with input_errors("env"):
             plugins.import_modules([module])

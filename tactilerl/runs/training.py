@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 
@@ -58,26 +56,10 @@ def start_learner(
         cores = run.workers or free_cores(
             comm.local_size
         )  # a toy is played on one and learned from on two
-        _warn_of_wrappers(workers.env)
         options = comm, run.seed, run.total_timesteps, run.device, cores
         learner = algorithm(hyperparameters, workers, *options)
         started.pop_all()
     return learner, workers
-
-
-def _warn_of_wrappers(env: Any) -> None:
-    """Warn where a wrapper's running statistics are of one process, and in no saved policy."""
-    while isinstance(env, gym.Wrapper):
-        if isinstance(
-            env, gym.wrappers.NormalizeObservation | gym.wrappers.NormalizeReward
-        ):
-            kind = type(env).__name__
-            warnings.warn(
-                f"{kind} keeps statistics that no policy is saved with and that differ with the number "
-                "of workers, as results then do; use normalize_obs (--normalize-obs)",
-                stacklevel=2,
-            )
-        env = env.env
 
 
 def start_workers(
@@ -113,20 +95,16 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 require_tensorboard()
         with _writing(run_dir, config, comm):
             checkpoint = Checkpoint(run_dir, config, learner, comm)
-            epoch, changed = _begun(checkpoint), ""
+            epoch = _begun(checkpoint)
             if comm.rank == 0:
                 run_dir.cut(epoch)
-                run = config, comm.size, epoch, learner.env_steps
-                changed = run_dir.write_config(*run)
+                run_dir.write_config(config, comm.size, epoch, learner.env_steps)
             notes = [summary, paragraph("resolved", learner.describe())]
             if epoch:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
                 notes.append(paragraph("resumed", done))
             else:
                 checkpoint.save(0)
-            if changed:
-                since = f"{changed}; from epoch {epoch + 1} on"
-                notes.append(paragraph("versions", since))
             if learner.env_steps >= learner.total_timesteps:
                 notes.append("  nothing to do; raise --total-timesteps")
             with EpochLog(learner, comm, events) as log:

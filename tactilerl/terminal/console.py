@@ -7,13 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 beside = Console(stderr=True, soft_wrap=True, markup=False)
@@ -33,27 +27,18 @@ def paragraph(label: str, text: str) -> str:
 def progress(
     what: str, total: int | None = None, is_shown: bool = True
 ) -> Iterator[Callable[..., None]]:
-    """Show a bar on standard error, or one line where that is no terminal.
+    """Show a bar on standard error, where that is a terminal.
 
     Yields a function to be called as work goes on: with how much is done, and perhaps of how much;
     without arguments, one more is done.
     """
     screen = Console(stderr=True)
-    begun = iter([f"{what} ..."] if is_shown and not screen.is_terminal else [])
-    columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(
-        *columns,
-        console=screen,
-        transient=True,
-        disable=not (is_shown and screen.is_terminal),
-    ) as bar:
-        task = bar.add_task("", total=total)
+    is_hidden = not (is_shown and screen.is_terminal)
+    with Progress(console=screen, transient=True, disable=is_hidden) as bar:
+        task = bar.add_task(what, total=total)
 
         def show(done: int | None = None, of: int | None = None) -> None:
-            for line in begun:
-                screen.print(line)
-            bar.update(
-                task, completed=done, total=of, advance=1 if done is None else None
-            )
+            advance = 1 if done is None else None
+            bar.update(task, completed=done, total=of, advance=advance)
 
         yield show

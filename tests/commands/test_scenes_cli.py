@@ -65,7 +65,7 @@ class TestEvaluateWithOtherSensors:
     @pytest.mark.parametrize(
         ("given", "named"),
         [
-            (["--taxel-dead", "-1"], "taxel_dead: found -1.0, allowed from 0 to 1"),
+            (["--taxel-dead", "-1"], "taxel_dead: found -1.0, allowed [0, 1]"),
             (["--history", "2"], "--history"),
         ],
     )

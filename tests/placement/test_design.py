@@ -316,7 +316,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("args", "named"),
         [
-            (["--start-closing", "1"], "start_closing: found 1.0, allowed from 0 to below 1"),
+            (["--start-closing", "1"], "start_closing: found 1.0, allowed [0, 1)"),
             (["--scene"], "scene: found none"),
             (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found all.toml"),
             (["--taxels", "0"], "taxels: found '0'"),

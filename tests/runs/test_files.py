@@ -23,7 +23,7 @@ from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
 from tactilerl.runs.store import RunDir
 
-from one_line import fails_with, printed, python
+from one_line import fails_with, python
 from states import flat
 
 PPO = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
@@ -98,14 +98,6 @@ class TestCheckpoint:
         PART.unlink()
         fails_with(capsys, RESUME, f"{PART.name}: missing")
         assert main(["evaluate", "run", "--episodes", "1"]) == 0  # which needs none of it
-
-    def test_a_policy_is_no_larger_than_its_file(self, ppo, capsys):
-        content = json.loads(CONFIG.read_text())
-        content["learner"]["hidden"] = [100_000]
-        CONFIG.write_text(json.dumps(content))
-        wide = json.dumps(RunDir(Path("run")).read_config().identity())
-        edit(CHECKPOINT, lambda saved: saved.update(config=wide))
-        fails_with(capsys, ["evaluate", "run"], "hidden: found (100000,), more than the file holds")
 
     def test_a_flipped_bit_is_found_or_changes_nothing(self, her):
         """Only names, dates and paddings of the archive have no checksum."""
@@ -321,17 +313,16 @@ class TestConfig:
 
 
 class TestProvenance:
-    def test_a_run_that_goes_on_with_other_versions_keeps_both(self, ppo, capsys):
+    def test_a_run_that_goes_on_with_other_versions_keeps_both(self, ppo):
         data = json.loads(CONFIG.read_text())
         data["provenance"][0]["versions"]["torch"] = "1.0"
         CONFIG.write_text(json.dumps(data))
-        out = printed(capsys, [*RESUME, "--total-timesteps", "240"])
-        assert f"versions torch 1.0 -> {torch.__version__}; from epoch 4 on" in out
+        assert main([*RESUME, "--total-timesteps", "240"]) == 0
         first, second = json.loads(CONFIG.read_text())["provenance"]
         assert first == data["provenance"][0]
         assert (second["epoch"], second["env_steps"]) == (3, 180)
         assert second["versions"]["torch"] == torch.__version__
-        assert "versions torch" not in printed(capsys, [*RESUME, "--total-timesteps", "300"])
+        assert main([*RESUME, "--total-timesteps", "300"]) == 0
         assert json.loads(CONFIG.read_text())["provenance"] == [first, second]
 
 

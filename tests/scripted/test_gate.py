@@ -110,7 +110,7 @@ def test_several_layouts():
 @pytest.mark.parametrize(
     ("args", "named"),
     [
-        (["--starts", "0"], "starts: found 0, allowed 1 or more"),
+        (["--starts", "0"], "starts: found 0, allowed [1, inf)"),
         (["--seed", "-1"], "seed: found -1"),
         (["--env", "lqr"], "env: found 'lqr'"),
         (["--scene", "handover", "--touch", "off"], "--touch: leave it out"),
