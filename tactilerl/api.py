@@ -81,8 +81,8 @@ class Learner:
         )
         self.config = validation.replace(defaults, hyperparameters)
         self._run = validation.replace(RunOptions(algo=self.algo), options)
-        for part in (self._run, self.config):
-            validation.validate(part)
+        validation.require(RunOptions, vars(self._run))
+        validation.validate(self.config)
         self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers)
         with _one_thread():  # a thread that is started inside has one too
@@ -114,7 +114,7 @@ class Learner:
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
-        validation.validate(run)
+        validation.require(RunOptions, vars(run))
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         with _one_thread():
@@ -275,22 +275,13 @@ def _start(env: Env, workers: int | None) -> vector.Workers:
         )
     try:
         one_thread = partial(torch.set_num_threads, 1)
-        return vector.start(partial(_made, make), workers or 1, one_thread)
+        return vector.start(make, workers or 1, one_thread)
     except (AttributeError, TypeError, ImportError, OSError) as error:
         is_of_processes = (
             "pickle" in str(error) or type(error) is vector.WorkerDiedError
         )
         hint = f"; {NEEDS}" if is_of_processes else ""
         raise ValueError(f"env: {error}{hint}") from error
-
-
-def _made(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:
-    env = make()
-    if not isinstance(env, gym.Env):
-        raise ValueError(
-            f"env: found a function that returns {env!r}, allowed one that makes environments"
-        )
-    return env
 
 
 @contextmanager

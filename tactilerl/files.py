@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import gzip
 import json
 import os
 import platform
@@ -12,6 +11,7 @@ import secrets
 import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from gzip import GzipFile
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,9 +19,8 @@ import filelock
 
 from .errors import BusyError, InputError
 
-LARGEST = 10**9  # bytes of a table; what else is read as a whole says so itself
+LARGEST = 10**9  # bytes of a table or a packed study
 MAX_JSON = 1_000_000  # bytes of a file with settings
-UNPACKED, RATIO = 50_000_000, 100  # bytes, or times its size, that a file may unpack to
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
 PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
@@ -62,33 +61,21 @@ def open_regular(path: Path) -> BinaryIO:
     return open(path, "rb")
 
 
-def read_whole(path: Path, most: int = LARGEST) -> bytes:
-    """Return all of a file; ValueError where it has more than `most` bytes."""
+def read_whole(path: Path, most: int = LARGEST, is_packed: bool = False) -> bytes:
+    """Return all that a file holds, or a gzip file where it `is_packed`.
+
+    Raise ValueError where that is more than `most` bytes.
+    """
     with open_regular(path) as file:
-        data = file.read(most + 1)
+        data = (GzipFile(fileobj=file) if is_packed else file).read(most + 1)
     if len(data) > most:
-        raise ValueError(f"it has more than {most:,} bytes")
+        raise ValueError(f"it holds more than {most:,} bytes")
     return data
-
-
-def read_json(path: Path) -> Any:
-    """Return the values in a JSON file."""
-    return json.loads(read_whole(path, MAX_JSON).decode("utf-8"))
 
 
 def as_json(data: Any) -> bytes:
     """Return values as the content of a JSON file."""
     return (json.dumps(data, indent=1) + "\n").encode()
-
-
-def unzip(path: Path) -> bytes:
-    """Return what a gzip file holds; ValueError where that is out of proportion."""
-    with open_regular(path) as file, gzip.GzipFile(fileobj=file) as packed:
-        most = max(UNPACKED, RATIO * os.fstat(file.fileno()).st_size)
-        data = packed.read(most + 1)
-    if len(data) > most:
-        raise ValueError(f"it unpacks to more than {most:,} bytes")
-    return data
 
 
 def require_new(path: Path, overwrite: bool = False) -> None:

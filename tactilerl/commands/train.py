@@ -25,7 +25,6 @@ examples:
   tactilerl train --algo ddpg_her --layout 4 --total-timesteps 26000
   tactilerl train --resume runs/X --total-timesteps 1000000"""
 ALWAYS_SHOWN = {"algo", "env", "layout", "touch", "task", "total_timesteps", "seed"}
-SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,5 @@ def _summary(config: RunConfig, usual: RunConfig, ranks: int, notes: list[str]) 
         )
         if pairs:
             lines.append(paragraph(part, pairs))
-    if config.scene is not None and config.scene.hold_verdict == "settled":
-        notes = [SETTLED_NOTE, *notes]
     lines += [paragraph("note", note) for note in notes]
     return "\n".join(lines)

@@ -50,17 +50,9 @@ class RunOptions:
     tensorboard: bool = False
     """Also write TensorBoard events (extra: tensorboard)."""
 
-    def validate(self) -> None:
-        """Raise ValueError where the environment cannot be one; ranges are in the types."""
-        if not (ENV_ID.fullmatch(self.env) or hands.is_hand(self.env)):
-            raise ValueError(f"env: found {self.env!r}, allowed a name, a hand's .toml file, an id or "
-                             "module:id")  # fmt: skip
-
 
 T = TypeVar("T")
 PARTS = ("run", "scene", "learner")
-# Gymnasium's [module:]id.
-ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
 # Fields of 0.4.0 that are no more, with the values that mean what this version does.
@@ -108,8 +100,10 @@ class RunConfig:
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
-        for part in self.parts.values():
-            validation.validate(part)
+        validation.require(RunOptions, vars(self.run))
+        for part in (self.scene, self.learner):
+            if part is not None:
+                validation.validate(part)
         if (self.scene is None) == hands.is_hand(self.run.env):
             raise ValueError(f"env: found {self.run.env!r}, which does not fit scene")
 

@@ -33,18 +33,17 @@ from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import (
     LEFTOVER,
+    MAX_JSON,
     as_json,
     damage_named,
     make_folder,
     no_link,
     open_regular,
-    read_json,
     read_whole,
     replacing,
     writable,
 )
 from .config import (
-    ENV_ID,
     HAND_COPY,
     LAYOUT_COPY,
     PARTS,
@@ -201,7 +200,9 @@ class RunDir:
             )
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(read_json(self.config_file))
+            return as_record(
+                json.loads(read_whole(self.config_file, MAX_JSON).decode())
+            )
 
     # -- progress.csv ------------------------------------------------------------------------
 
@@ -431,7 +432,7 @@ def resolve(
     is named as well.
     """
     module, colon, _ = str(env).partition(":")
-    if colon and ENV_ID.fullmatch(env):
+    if colon:
         with input_errors("env"):
             plugins.import_modules([module])
     if not resume:
@@ -439,8 +440,6 @@ def resolve(
     if scene:
         raise InputError("scene: found with resume; a resumed run keeps its settings")
     saved = RunDir(Path(resume)).read_config()
-    if env not in ("", saved.run.env):
-        raise InputError(f"env: found {env!r}, the run was made with {saved.run.env!r}")
     if recipe:
         with input_errors():
             learner = recipes.recipe(saved.run.algo, recipe)

@@ -92,10 +92,9 @@ def _setup(
     records = [record for record in records if record.run.setup == setup.name]
     finished = [record for record in records if record.is_finished]
     first, last = span(finished)
-    points = min(MOST_POINTS, max((len(one.curve[0]) for one in finished), default=0))
-    steps = np.linspace(first, last, points)
-    if first >= last:
-        steps = np.full(min(1, points), last)
+    longest = max((len(record.curve[0]) for record in finished), default=0)
+    n_points = min(longest, MOST_POINTS if first < last else 1)
+    steps = np.linspace(last, first, n_points)[::-1]
     groups = {}
     for setting in setup.settings:
         runs = {

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import matplotlib
 from matplotlib.figure import Figure
 
-from ..style import DPI, GROUPS, HEAD, INK, STYLE
+from ..style import DPI, GROUPS, HEAD, STYLE
 from .analysis import SetupResult
 
 PANEL = 5.2, 3.2  # inches
@@ -21,7 +21,8 @@ def title(result: SetupResult) -> str:
     """Return what the curves of a set-up show."""
     length = result.config["run"]["total_timesteps"]
     return (
-        f"Learning curves, IQM and every run: {result.subject}, {length:,} steps a run"
+        f"Learning curves: every run, and the IQM with its 95 % interval: {result.subject}, "
+        f"{length:,} steps a run"
     )
 
 
@@ -39,14 +40,13 @@ def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     colours = dict(zip(setup.groups, itertools.cycle(GROUPS), strict=False))
     for panel in panels[len(settings) :]:
-        panel.set_axis_off()
+        panel.remove()
     for setting, panel in zip(settings, panels, strict=False):
         for name, colour in colours.items():
             if group := result.groups.get((setting, name)):
                 panel.fill_between(steps, *group.iqm_bounds.T, color=colour, **BAND)
                 panel.plot(steps, group.curves.T, color=colour, **LINE)
-                marker = "o" if len(steps) == 1 else None
-                panel.plot(steps, group.iqm_curve, color=colour, lw=2.2, marker=marker)
+                panel.plot(steps, group.iqm_curve, color=colour, lw=2.2)
         rate = setup.measure.replace("_", " ")
         panel.set(xlabel="environment steps", ylabel=rate, ylim=(-0.02, 1.02))
         panel.set_title("" if setting == "all" else setting)
@@ -54,8 +54,6 @@ def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
         panel.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
     for name, colour in colours.items():
         panels[0].plot([], [], color=colour, lw=2.2, label=f"{setup.label(name)}, IQM")
-    panels[0].plot([], [], color=INK, label="a run", **LINE)
-    panels[0].fill_between([], [], color=INK, label="95 % interval of the IQM", **BAND)
     figure.legend(loc="outside lower center", fontsize=8, ncols=2 * columns)
     figure.suptitle(title(result), **HEAD)
     file, volatile = io.BytesIO(), "Date" if kind == "svg" else "Software"

@@ -34,7 +34,6 @@ from ..files import (
     damage_named,
     read_whole,
     replacing,
-    unzip,
     writable,
 )
 from ..runs.store import Row, RunDir, as_record, parse
@@ -245,7 +244,7 @@ def collect(path: Path, out: Path | None = None) -> Path:
 def _unpacked(path: Path) -> dict[str, bytes]:
     """Return the files in a packed file, by name; they are never written by that name."""
     with damage_named(path, "not a collected study of 0.4.0 or later"):
-        data, files = unzip(path), {}
+        data, files = read_whole(path, is_packed=True), {}
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
                 if entry.type == tarfile.REGTYPE and not entry.issparse():

@@ -45,22 +45,10 @@ class Table:
     """Cells by the headings of their columns, which are those of the first row."""
     note: str = ""
 
-    @property
-    def columns(self) -> list[str]:
-        """The headings, without settings or groups where there is only one."""
-        return [
-            name
-            for name in self.rows[0]
-            if name not in ("Setting", "Group")
-            or any(row[name] != "all" for row in self.rows)
-        ]
-
     def csv(self) -> bytes:
         """Return the table as a CSV file."""
         file = io.StringIO()
-        writer = csv.DictWriter(
-            file, self.columns, extrasaction="ignore", lineterminator="\n"
-        )
+        writer = csv.DictWriter(file, [*self.rows[0]], lineterminator="\n")
         writer.writeheader()
         writer.writerows(self.rows)
         return file.getvalue().encode()
@@ -80,7 +68,7 @@ Section = tuple[str, str, list[Table | Picture]]
 
 def number(value: float, digits: int = 2) -> str:
     """Return a number as tables show it; a dash where there is none."""
-    return "–" if math.isnan(value) else f"{value + 0.0:.{digits}f}"
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def shown(estimate: Estimate, digits: int = 2) -> str:
@@ -137,8 +125,7 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
         result = f"too few runs to find a difference, which takes {fewest} pairs"
     else:
         result = f"no significant difference in {MEANS[score]}"
-    signed = (f"{round(x, 2) + 0.0:+.2f}".replace("-", "−") for x in pairs.difference)
-    value, low, high = signed
+    value, low, high = (f"{x:+.2f}".replace("-", "−") for x in pairs.difference)
     chance = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
     return (
         f"{setup.name}, {verdict.setting}: {result} ({treatment} − {control}: {value}, 95 % interval "
@@ -171,14 +158,12 @@ def warnings(analysis: Analysis) -> list[str]:
             "runs are too narrow: they contain the truth less often than they say."
         )
     for one in analysis.setups:
-        name, made_with = one.setup.name, set[tuple[str, str]]()
-        for record in one.records:
-            for origin in record.config.get("provenance", []):
-                versions = sorted(origin["versions"].items())
-                made_with.add((str(origin["commit"]), str(versions)))
+        name = one.setup.name
         if not one.groups:
             notes.append(f"{name}: no finished run with a {one.setup.measure}.")
-        if len(made_with) > 1:
+        origins = [o for run in one.records for o in run.config.get("provenance", ())]
+        made_with = [(origin["commit"], origin["versions"]) for origin in origins]
+        if any(each != made_with[0] for each in made_with):
             notes.append(
                 f"{name}: versions or commits differ between runs, and could change results."
             )
@@ -274,13 +259,13 @@ def sections(analysis: Analysis) -> list[Section]:
 
 def write(analysis: Analysis, folder: Path) -> Path:
     """Write everything into `folder`, over files that are there; return report.html's path."""
-    page, report = folder / "report.html", sections(analysis)
-    files: dict[Path, bytes] = {}
-    for part in (part for *_, parts in report for part in parts):
-        if isinstance(part, Table):
-            files[folder / "tables" / f"{part.name}.csv"] = part.csv()
-        else:
-            files[folder / "figures" / f"{part.name}.svg"] = part.svg
+    report, files = sections(analysis), dict[str, bytes]()
+    for *_, parts in report:
+        for part in parts:
+            if isinstance(part, Table):
+                files[f"tables/{part.name}.csv"] = part.csv()
+            else:
+                files[f"figures/{part.name}.svg"] = part.svg
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tactilerl.study", "."),
         autoescape=True,
@@ -298,13 +283,13 @@ def write(analysis: Analysis, folder: Path) -> Path:
         warnings=warnings(analysis),
         sections=report,
     )
+    files["report.html"] = html.encode()
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("tables", "figures"):
         make_folder(folder / name)
-    files[page] = html.encode()
-    for path in files:
-        require_file(path)
-    for path, data in files.items():
-        with replacing(path) as file:
+    for name in files:
+        require_file(folder / name)
+    for name, data in files.items():
+        with replacing(folder / name) as file:
             file.write(data)
-    return page
+    return folder / "report.html"

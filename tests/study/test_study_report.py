@@ -181,7 +181,3 @@ class TestForReaders:
     def test_p_is_corrected_once(self, written):
         table = (written.parent / "tables/pybullet_comparisons.csv").read_text().splitlines()
         assert table[0] == "Setting,Pairs,Mean success,p"
-
-    def test_a_single_setting_has_no_column(self):
-        table = report.Table("x", "x", [{"Setting": "all", "Group": "all", "n": "1"}])
-        assert table.csv() == b"n\n1\n"
