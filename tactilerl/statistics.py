@@ -47,8 +47,6 @@ def converged_rate(curves: Array) -> Array:
     equally full bins the one that the curve visited last counts. Points without a value (NaN) are
     left out; a run without any is NaN.
     """
-    if np.nanmin(curves, initial=0.0) < 0 or np.nanmax(curves, initial=0.0) > 1:
-        raise ValueError("curves: found rates outside of [0, 1], allowed from 0 to 1")
     modes = np.full(len(curves), math.nan)
     for run, curve in enumerate(curves):
         if len(rates := curve[~np.isnan(curve)]):

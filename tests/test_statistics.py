@@ -70,10 +70,6 @@ class TestRates:
         curves = np.array([[np.nan, 0.5, 0.5], [np.nan] * 3])
         assert_allclose(s.converged_rate(curves), [0.5, np.nan])
 
-    def test_rates_outside_of_0_and_1_are_refused(self):
-        with pytest.raises(ValueError, match="allowed from 0 to 1"):
-            s.converged_rate(np.array([[0.5, 1.5]]))
-
     def test_final_rate_is_the_mean_of_the_last_tenth(self):
         assert_allclose(s.final_rate(np.arange(20.0)[None]), [18.5])
         assert_allclose(s.final_rate(np.array([[0.2, 0.4]])), [0.4])

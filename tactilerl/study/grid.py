@@ -263,19 +263,16 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Contrast | No
     if not table:
         return None
     (flag, pair), *others = table.items()
-    if others or not isinstance(pair, list) or len(pair) != 2:
+    values = [*map(text, _as_list(pair))]
+    if others or len(values) != 2 or len({*values}) != 2:
         raise ValueError(
             f"compare: found {table!r}, expected one flag with [treatment, control], "
             'such as touch = ["on", "off"]'
         )
-    if flag not in grid:
-        raise ValueError(f"compare: found {flag!r}, which is not in the grid")
-    treatment, control = map(text, pair)
-    for value in (treatment, control):
+    require_one_of(grid, flag, "compare")
+    for value in values:
         require_one_of(map(text, grid[flag]), value, f"compare: {flag}")
-    if treatment == control:
-        raise ValueError(f"compare: {flag}: found {control!r} as treatment and control")
-    return Contrast(flag, treatment, control)
+    return Contrast(flag, *values)
 
 
 def text(value: Any) -> str:

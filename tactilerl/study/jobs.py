@@ -210,8 +210,7 @@ def _environment() -> dict[str, str]:
 def _reason(code: int, log_file: Path, begin: int) -> str:
     """Return in a line why a run failed: the signal, or the last thing in its log after `begin`."""
     if code < 0:
-        names = {each.value: each.name for each in signal.Signals}
-        return f"killed by {names.get(-code, f'signal {-code}')}"
+        return f"killed by signal {-code} ({signal.strsignal(-code)})"
     text = log_file.read_bytes()[begin:].decode("utf-8", errors="replace")
     lines = [line for line in text.splitlines() if line.strip()]
     ours = [line for line in lines if line.startswith("tactilerl: ")]

@@ -172,8 +172,7 @@ class TestFailures:
         log = tmp_path / "run.log"
         log.write_text("tactilerl: interrupted\nTraceback\nMemoryError\n")
         assert jobs._reason(1, log, 23) == "MemoryError (exit code 1)"
-        assert jobs._reason(-9, log, 0) == "killed by SIGKILL"
-        assert jobs._reason(-35, log, 0) == "killed by signal 35"
+        assert jobs._reason(-9, log, 0) == "killed by signal 9 (Killed)"
 
 
 class TestSharing:
