@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,9 +29,6 @@ from .hands import Hand, Surface
 from .layouts import Taxels
 from .simulators import Sensor
 from .state import Array, State
-
-if TYPE_CHECKING:
-    from .hands.geometry import Geom
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
 SLACK = 5e-5  # m, by how much the distance of a bone may be taken too large
@@ -164,35 +160,29 @@ class _Shaped:
     """The taxels whose links are neither one capsule nor flat."""
 
     def __init__(self, taxels: Taxels, surfaces: list[Surface]) -> None:
-        """Find the geom that is nearest to each taxel, among those of its surface."""
-        geoms: list[Geom] = []
-        geoms_of_link: dict[str, list[int]] = {}
-        for surface in surfaces:
-            if surface.geoms and surface.link not in geoms_of_link:
-                end = len(geoms) + len(surface.geoms)
-                geoms_of_link[surface.link] = list(range(len(geoms), end))
-                geoms += surface.geoms
-        self._taxels = taxels
-        self._taxels_of_geom: dict[int, list[int]] = {}
-        if not geoms:
-            return
+        """Find the geom of its link that is nearest to each taxel."""
         from .hands.geometry import Distances  # imports MuJoCo
 
-        self._geoms = Distances(geoms)
+        self._taxels = taxels
+        self._distances: dict[str, Distances] = {}
+        self._taxels_of_geom: dict[tuple[str, int], list[int]] = {}
         for taxel, surface in enumerate(surfaces):
-            if surface.geoms:
-                candidates = geoms_of_link[surface.link]
-                geom, _ = self._geoms.nearest(candidates, taxels.positions[taxel])
-                self._taxels_of_geom.setdefault(geom, []).append(taxel)
+            link = surface.link
+            if not surface.geoms:
+                continue
+            if link not in self._distances:
+                self._distances[link] = Distances(surface.geoms)
+            geom, _ = self._distances[link].nearest(taxels.positions[taxel])
+            self._taxels_of_geom.setdefault((link, geom), []).append(taxel)
 
     def correct(self, is_on: Array, state: State) -> None:
         """Turn off in `is_on` (n,) the taxels on geoms that do not touch the object."""
         positions, rotations = state.poses(self._taxels.links)
         place = state.object_position, state.object_rotation
-        for geom, taxels in self._taxels_of_geom.items():
-            link = self._taxels.link_index[taxels[0]]
-            pose = positions[link], rotations[link]
-            if is_on[taxels].any() and not self._geoms.within(
+        for (link, geom), taxels in self._taxels_of_geom.items():
+            index = self._taxels.link_index[taxels[0]]
+            pose = positions[index], rotations[index]
+            if is_on[taxels].any() and not self._distances[link].within(
                 geom, *pose, state.shape, *place, SKIN
             ):
                 is_on[taxels] = False

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from ..state import KINDS as OBJECT_KINDS
 from ..state import Array, Shape
 
 FAR = 0.5  # m: beyond any hand
@@ -112,7 +113,7 @@ class Distances:
                 pos=geom.position,
                 quat=quaternion,
             )
-        for kind in ("box", "sphere", "cylinder"):
+        for kind in OBJECT_KINDS:
             spec.worldbody.add_geom(
                 name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01], group=1
             )
@@ -155,22 +156,20 @@ class Distances:
         )
         return float(away), normal
 
-    def nearest(self, candidates: list[int], point: Array) -> tuple[int, float]:
+    def nearest(self, point: Array) -> tuple[int, float]:
         """Return the geom that is nearest to a point (3,) of its link, and its distance, m."""
         model, data = self._model, self._data
+        data.geom_xpos[:], data.geom_xmat[:] = self._places
         item = model.geom("sphere").id
         model.geom_size[item] = model.geom_rbound[item] = 1e-6
         data.geom_xpos[item] = point
-        for places, poses in zip(
-            self._places, (data.geom_xpos, data.geom_xmat), strict=True
-        ):
-            poses[candidates] = places[candidates]
+        n_geoms = model.ngeom - len(OBJECT_KINDS)
         away = [
             mujoco.mj_geomDistance(model, data, geom, item, FAR, None)
-            for geom in candidates
+            for geom in range(n_geoms)
         ]
         best = int(np.argmin(away))
-        return candidates[best], float(away[best])
+        return best, away[best]
 
 
 _distances = lru_cache(maxsize=64)(Distances)
@@ -184,7 +183,7 @@ def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
     """
 
     def away(place: Array) -> float:
-        return _distances(geoms).nearest(list(range(len(geoms))), place)[1]
+        return _distances(geoms).nearest(place)[1]
 
     steps = STEP * np.eye(3)
     slope = np.array([away(point + step) - away(point - step) for step in steps])
