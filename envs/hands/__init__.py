@@ -84,11 +84,11 @@ def allowed() -> str:
 
 def file(name: str) -> Path:
     """Return the file of a hand; ValueError for a name that is none."""
+    if not is_hand(name):
+        raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
     if name in HANDS:
         return FOLDER / f"{name}{SUFFIX}"
-    if name in OTHERS or name.endswith(SUFFIX):
-        return Path(OTHERS.get(name, name))
-    raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
+    return Path(OTHERS.get(name, name))
 
 
 def usage(name: str) -> Usage:
@@ -110,7 +110,7 @@ def digest(name: str) -> str:
 
     Raises ValueError and OSError where they cannot be read.
     """
-    return short_digest(file(name).read_bytes(), *get(name).build.files)
+    return short_digest(file(name).read_bytes(), *get(name).files)
 
 
 def get(name: str) -> Hand:
@@ -140,6 +140,6 @@ _read: dict[Path, tuple[list[Any], Hand]] = {}
 
 def _state(path: Path, hand: Hand) -> list[Any]:
     """Return what changes when a file of a hand does, or a grasp is kept beside it."""
-    files = [path, *hand.build.files, path.with_suffix(KEPT)]
+    files = [path, *hand.files, path.with_suffix(KEPT)]
     states = [file.stat() if file.exists() else None for file in files]
     return [state and (state.st_size, state.st_mtime_ns) for state in states]

@@ -49,15 +49,10 @@ class Geom(NamedTuple):
 
 
 def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
-    """Return the geoms of a body that collide; ValueError for a shape that no link has."""
+    """Return the shapes of a body that collide."""
     shapes = []
     for geom in colliding(model, link):
         kind = mujoco.mjtGeom(geom.type[0]).name.removeprefix("mjGEOM_").lower()
-        if kind not in KINDS:
-            raise ValueError(
-                f"body {link!r}: found a geom of kind {kind}, "
-                f"allowed: {', '.join(KINDS)}"
-            )
         corners = list(product((-1, 1), repeat=3)) * model.geom_aabb[geom.id, 3:]
         if kind == MESH:
             mesh = model.mesh(geom.dataid[0])
@@ -205,7 +200,7 @@ def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:
 def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
     """Return the place (3,) in the world of a point (3,) in a link's frame, m."""
     body = data.body(link)
-    return np.asarray(body.xpos + body.xmat.reshape(3, 3) @ point)
+    return body.xpos + body.xmat.reshape(3, 3) @ point
 
 
 def gap(
@@ -231,7 +226,7 @@ def unit(direction: Any, where: str) -> Array:
     return np.asarray(direction, float) / length
 
 
-def beside(direction: Array, other: Array) -> Array:
+def perpendicular(direction: Array, other: Array) -> Array:
     """Return the part of a unit vector at right angles to another one, at unit length."""
     along = float(direction @ other)
     if abs(along) < 1e-9:

@@ -7,7 +7,6 @@ one on which the fingertips lie furthest in front of the palm while they close i
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import Path
@@ -36,29 +35,22 @@ WORDS = {
 MAX_LINKS = 4  # of a digit, counted from its tip
 MAX_WRIST_JOINTS = 2  # joints outside of a hand that are no arm
 AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
-LEANING = (
-    0.13  # share of its range by which a joint bends further one way than the other
-)
+LEANING = 0.13  # share of its range by which a joint bends further one way
 STEP = 0.01  # rad or m, by which a joint goes to see what it turns
 NUDGE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
 NEARER = 5e-3  # m by which a tip comes nearer to others when a joint closes
 N_STEPS = 20  # of a digit's way to its closed end
 IN_PALM, IN_FINGER = 2e-3, 8e-3
 """m that fingers may be in the palm, and in each other, before they stop."""
-LEAST_CLOSING = (
-    0.4  # share of the way that the fingers of a hand with a thumb go all the same
-)
+LEAST_CLOSING = 0.4  # share of their way that fingers go in any case beside a thumb
 ALONE = 0.5  # cosine by which a thumb goes another way than the other digits do
 BEYOND = 0.5  # of the way of a finger's first joint, what those beyond it go
 HALF_OPEN, OPENING = 0.5, 0.11
 """Least share of opening at the start, and distance between thumb and fingers there, m."""
 FLEXING = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
-ALMOST_CLOSED = (
-    0.75,
-    1.0,
-)  # shares of their way on which fingers lie in front of the palm
 ALONG_PALM = 0.5, 0.25, 0.0, 0.75
 """Shares of the way from the palm's middle to the fingers where its skin is looked for."""
+ALMOST_CLOSED = 0.85  # share of their way where fingers lie in front of the palm
 AXES = [*np.eye(3), *-np.eye(3)]
 
 
@@ -72,24 +64,17 @@ def describe(model: str, folder: Path, known: dict[str, Any]) -> tuple[str, list
     return guess.toml(), guess.notes
 
 
-@dataclass
 class Guess:
     """Guess palm, digits and poses of a model. Raise ValueError naming what it does not say."""
 
-    model: str
-    folder: Path
-    known: dict[str, Any]
-    notes: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
+    def __init__(self, model: str, folder: Path, known: dict[str, Any]) -> None:
         """Find the palm and the chains of links that hang on it."""
-        self.keys: dict[str, Any] = {"model": self.model, **self.known}
+        self.folder, self.notes = folder, list[str]()
+        unknown = {"palmar": [1, 0, 0], "fingers": [0, 1, 0], "palm_point": [0, 0, 0]}
+        empty = {"palm": "", "digits": {}, "drop": []}
+        self.keys: dict[str, Any] = {"model": model, **empty, **unknown, **known}
         if self.keys.pop("servos", None):
-            self._drop([actuator.name for actuator in self._spec().actuators])
-        if empty := [body.name for body in mount.weightless(self._spec())]:
-            self._drop(empty)
-            names = ", ".join(empty)
-            self.notes.append(f"drop: left out links without mass or shape: {names}")
+            self.keys["drop"] += [actuator.name for actuator in self._spec().actuators]
         self._find_palm(self._spec())
         self.parts = self._parts()
         self.frame = self.parts.palm_frame
@@ -97,16 +82,10 @@ class Guess:
 
     def _parts(self) -> Parts:
         """Return the parts of a hand of which only the keys so far are known."""
-        unknown = {"palm": "", "palm_point": [0, 0, 0], "digits": {}}
-        axes = {"palmar": [1, 0, 0], "fingers": [0, 1, 0]}
-        file = validation.fill(HandFile, {**unknown, **axes, **self.keys})
-        return Parts(file, self.folder)
+        return Parts(validation.fill(HandFile, self.keys), self.folder)
 
     def _spec(self) -> mujoco.MjSpec:
         return self._parts().unread.unfused()
-
-    def _drop(self, names: list[str]) -> None:
-        self.keys["drop"] = [*self.keys.get("drop", []), *names]
 
     def _find_palm(self, spec: mujoco.MjSpec) -> None:
         """Set the palm, and the root where the palm hangs on an arm.
@@ -114,7 +93,7 @@ class Guess:
         The root is the palm, or the link that it is part of where more digits hang on other parts of
         that link. As many are those of another hand.
         """
-        if not self.keys.get("palm"):
+        if not self.keys["palm"]:
             self.keys["palm"] = self._palm_of(spec)
         palm = spec.body(self.keys["palm"])
         if palm is None:
@@ -182,8 +161,9 @@ class Guess:
     @cached_property
     def thumb(self) -> int | None:
         """Number of the digit that opposes the others; None where there are two, or none does."""
-        has_thumb = len(self.digits) > 2 and "thumb" in self.digits
-        return self.digits.index("thumb") if has_thumb else None
+        if len(self.digits) > 2 and "thumb" in self.digits:
+            return self.digits.index("thumb")
+        return None
 
     @cached_property
     def fingers(self) -> list[int]:
@@ -192,12 +172,11 @@ class Guess:
 
     def posed(self, angles: Angles) -> mujoco.MjData:
         """Return the hand with these joint angles, the others as near to 0 as they can be."""
-        rest = {joint: self.parts.inside(joint) for joint in self.parts.joints} | angles
-        return posed(self.parts.model, rest | self.parts.followed(rest))
+        return posed(self.parts.model, self.parts.completed(angles))
 
     def in_palm(self, points: Any) -> Array:
         """Return points (n, 3) of the palm's link in the frame of the body called palm, m."""
-        return np.asarray((np.array(points) - self.frame.place) @ self.frame.turn)
+        return (np.array(points) - self.frame.place) @ self.frame.turn
 
     def places(self, angles: Angles, points: list[tuple[str, Any]]) -> Array:
         """Return points of links (n, 3), m, in the palm's frame, of the hand at these angles."""
@@ -215,15 +194,16 @@ class Guess:
         """Places (n, 3) where digits begin, m, in the palm's frame."""
         return self.places({}, [(chain.links[0], np.zeros(3)) for chain in self.chains])
 
-    def turning(self, number: int, joint: str) -> Array:
+    def turning(self, number: int, joint: str, pose: Angles) -> Array:
         """Return the axis (3,) about which a digit's last link turns as a joint goes up.
 
         It is as long as the link turns rad per rad: zeros where it slides.
         """
-        link, angle = self.chains[number].links[-1], self.parts.inside(joint)
+        link = self.chains[number].links[-1]
+        angle = pose.get(joint, self.parts.inside(joint))
         before, after = (
-            self.posed({joint: angle + step}).body(link).xmat.reshape(3, 3)
-            for step in (0.0, STEP)
+            self.posed(pose | step).body(link).xmat.reshape(3, 3)
+            for step in ({}, {joint: angle + STEP})
         )
         return Rotation.from_matrix(after @ before.T).as_rotvec() / STEP
 
@@ -253,7 +233,7 @@ class Guess:
         others'.
         """
         joints = self.chains[number].joints
-        axes = {joint: self.turning(number, joint) for joint in joints}
+        axes = {joint: self.turning(number, joint, {}) for joint in joints}
         hinges = [axis for axis in axes.values() if np.linalg.norm(axis) > FLEXING]
         middle, ends = self.tips({}).mean(axis=0), {}
         for joint, axis in axes.items():
@@ -281,9 +261,8 @@ class Guess:
         half = {
             joint: sum(both) / 2 for ends in self.ends for joint, both in ends.items()
         }
-        vectors = self.tips(half) - self.tips({})
-        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-        return np.asarray(vectors / np.maximum(lengths, 1e-9))
+        ways = self.tips(half) - self.tips({})
+        return ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
 
     # -- the palm ----------------------------------------------------------------------------
 
@@ -301,12 +280,8 @@ class Guess:
         Fingers that close lie in front of the palmar side. Open ones lie in the direction of fingers;
         where they lie all around, that is across the way on which they close.
         """
-        most = self.stop if self.thumb is None else 1.0
-        closing = [
-            self.tips(between(*self.bent, most * share))[self.fingers]
-            for share in ALMOST_CLOSED
-        ]
-        closed = np.concatenate(closing).mean(axis=0)
+        way = ALMOST_CLOSED * (self.stop if self.thumb is None else 1.0)
+        closed = self.tips(between(*self.bent, way))[self.fingers].mean(axis=0)
         palmar = max(AXES, key=lambda axis: axis @ closed - max(self.palm_skin @ axis))
         opened = self.tips({})[self.fingers]
         away = opened.mean(axis=0) - _middle(self.palm_skin)
@@ -344,12 +319,11 @@ class Guess:
     def stop(self) -> float:
         """Share of that way that the fingers can go.
 
-        There a fingertip is in the palm, or a finger deep in another.
+        There a fingertip is in the palm, or deep in another.
         """
-        fingers = [self.chains[number] for number in self.fingers]
-        pairs = [(self.frame.link, chain.links[-1], IN_PALM) for chain in fingers]
-        for first, second in combinations(fingers, 2):
-            pairs += [(*two, IN_FINGER) for two in product(first.links, second.links)]
+        tips = [self.chains[number].links[-1] for number in self.fingers]
+        pairs = [(self.frame.link, tip, IN_PALM) for tip in tips]
+        pairs += [(first, second, IN_FINGER) for first, second in combinations(tips, 2)]
 
         def is_deep(share: float) -> Array:
             data = self.posed(between(*self.bent, share))
@@ -372,11 +346,14 @@ class Guess:
         """
         opened, closed = self.bent[0].copy(), between(*self.bent, self.stop)
         if self.thumb is not None:
-            opposed = self._opposed(self.thumb, between(opened, closed, 0.5))
-            flexing = {
-                joint: self.parts.inside(joint) for joint in self.ends[self.thumb]
-            }
-            opened, closed = opened | opposed | flexing, closed | opposed
+            half = between(opened, closed, 0.5)
+            opposed = self._opposed(self.thumb, half)
+            axes = {j: self.turning(self.thumb, j, half | opposed) for j in opposed}
+            *_, last = axes.values()
+            for joint, angle in opposed.items():
+                flexes = abs(axes[joint] @ last) > FLEXING
+                opened[joint] = self.parts.inside(joint) if flexes else angle
+                closed[joint] = angle
         start = self._wide_open(opened, closed) if len(self.chains) > 2 else opened
         return {"opened": opened, "closed": closed, "start": start}
 
@@ -420,10 +397,10 @@ class Guess:
             "fingers": fingers,
             "palm_point": self.palm_point(),
         }
-        keys = {key: value for key, value in self.keys.items() if value}
         for key, vector in vectors.items():
-            keys[key] = (vector.round(4) + 0.0).tolist()
-        lines = [f"{key} = {quoted(value)}" for key, value in keys.items()]
+            self.keys[key] = (vector.round(4) + 0.0).tolist()
+        keys = self.keys.items()
+        lines = [f"{key} = {quoted(value)}" for key, value in keys if value]
         lines += ["", "[digits]"]
         for name, chain in zip(self.digits, self.chains, strict=True):
             links, tip = quoted(chain.links), quoted(chain.tip)
@@ -435,7 +412,7 @@ class Guess:
 
 
 def _middle(points: Array) -> Array:
-    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+    return (points.min(axis=0) + points.max(axis=0)) / 2
 
 
 # -- how the parts hang ----------------------------------------------------------------------
@@ -472,12 +449,11 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
         tip = placed(data, chain.links[-1], chain.tip)
         return float(np.linalg.norm(tip - data.body(palm).xpos))
 
-    digits = []
+    digits = list[Chain]()
     for paths in groups.values():
         group = set[str]().union(*paths)
-        chains = [_chain(parts, path, group) for path in paths]
-        if made := [chain for chain in chains if chain]:
-            digits.append(max(made, key=reach))
+        chains = filter(None, (_chain(parts, path, group) for path in paths))
+        digits += sorted(chains, key=reach, reverse=True)[:1]
     if len(digits) < 2:
         raise ValueError(
             f"digits: found {len(digits)} from body {palm!r}, allowed 2 or more"

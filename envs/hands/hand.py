@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -213,7 +214,7 @@ class ClosingAction:
         """Return how far each group is closed, by the first of its actuators that moves."""
         way = self.closed - self.open
         first = [group[way[group] != 0][0] for group in self.groups]
-        return np.asarray((targets[first] - self.open[first]) / way[first])
+        return (targets[first] - self.open[first]) / way[first]
 
 
 class Point(NamedTuple):
@@ -232,10 +233,9 @@ class Point(NamedTuple):
 
     def toml(self) -> list[str]:
         """Return the lines of a layout file that describe the taxel."""
-        values = {"name": self.name, **self._asdict()}.items()
-        given = [(key, value) for key, value in values if value not in ((), None)]
-        texts = [f"{key} = {quoted(value)}" for key, value in given]
-        return ["[[taxel]]", *texts]
+        table = {"name": self.name, **self._asdict()}
+        given = {key: table[key] for key in table if table[key] not in ((), None)}
+        return ["[[taxel]]", *(f"{key} = {quoted(given[key])}" for key in given)]
 
 
 class Frame(NamedTuple):
@@ -282,17 +282,6 @@ class ScriptedGrasp:
     """Joint targets by actuator name, rad or m."""
 
 
-class HandModel(Protocol):
-    """Build the hand of a scene."""
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The files of the model."""
-
-    def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> Any:
-        """Return the hand alone as a new mujoco.MjSpec."""
-
-
 @dataclass(frozen=True)
 class Hand:
     """One hand, palm down above the origin of the world.
@@ -302,8 +291,11 @@ class Hand:
     """
 
     name: str
-    build: HandModel
-    """Function that returns the model of the hand alone: no ground, no object, no taxels."""
+    build: Callable[..., Any]
+    """Function that returns the hand alone as a new mujoco.MjSpec: no ground, no object, no taxels.
+
+    Its arguments are `visual`, True to keep what only pictures need, and `finger_gain`, by which the
+    gain of the fingers' actuators is multiplied."""
     joints: tuple[str, ...]
     """Joints in the order of the observation."""
     actuators: tuple[str, ...]
@@ -327,7 +319,7 @@ class Hand:
     first_joints: tuple[str, ...] = ()
     """The joint that stands for each digit in the observation term "finger_joints"."""
     start: dict[str, float] = field(default_factory=dict)
-    """Joint positions at reset that are not zero, rad or m."""
+    """Joint positions at reset, rad or m; 0 for joints that it does not name."""
     observation: tuple[str, ...] = ()
     """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
     start_clearance: float = 0.05
@@ -343,6 +335,8 @@ class Hand:
     """Targets of the same actuators where the hand is closed, rad."""
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """The actuators that close together, each in one group, by what that is called."""
+    files: tuple[Path, ...] = ()
+    """Files of its model, with what it includes and its meshes."""
     notes: tuple[str, ...] = ()
     """Notes on what was left out or put in of its model, and what it cannot do."""
     finger_length: float = 0.1
@@ -370,7 +364,6 @@ class Hand:
         pose = self.start | dict(zip(self.actuated, opened.tolist(), strict=True))
         for coupling in self.couplings:
             pose[coupling.joint] = coupling.at(pose[coupling.driver])
-        pose = {joint: angle for joint, angle in pose.items() if angle}
         action = replace(action, open=opened, groups=groups)
         return replace(self, action_map=action, action_names=names, start=pose)
 
@@ -400,9 +393,8 @@ class Hand:
         """
         if width <= self.start_clearance:
             return self
-        return replace(
-            self, start={**self.start, SLIDES[2]: min(height, self.start_clearance)}
-        )
+        start = self.start | {SLIDES[2]: min(height, self.start_clearance)}
+        return replace(self, start=start)
 
     def start_positions(self) -> Array:
         """Return joint positions at reset in the order of ``joints``, shape (n_joints,)."""

@@ -78,6 +78,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         closed={driven[joint]: angle for joint, angle in parts.closed.items()},
         groups=_groups(parts),
         notes=_notes(parts) if parts.is_own else (),
+        files=parts.files,
         finger_length=_finger_length(sides),
         reach=_reach(parts),
         welded=parts.welded,
@@ -150,7 +151,6 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
         parts.mount,
         rotation=tuple(map(tuple, turn.tolist())),
         is_turned=not np.allclose(turn, unmoved, atol=1e-9),
-        files=parts.files,
     )
 
     def at_place(at: Array) -> Mount:

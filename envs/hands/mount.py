@@ -129,8 +129,6 @@ class Mount:
     """Rotation (3, 3) of the root body."""
     is_turned: bool = False
     """True where that is not the model's own."""
-    files: tuple[Path, ...] = ()
-    """Files of the model, with what it includes and its meshes."""
 
     def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
         """Return the hand alone as an editable model: no ground, no object, no taxels.

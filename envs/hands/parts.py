@@ -17,7 +17,7 @@ import numpy as np
 from ..state import Array
 from ..validation import quoted, require_one_of, require_rising
 from . import model_file, mount
-from .geometry import beside, placed, posed, unit
+from .geometry import perpendicular, placed, posed, unit
 from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
 from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
 
@@ -204,10 +204,9 @@ class Parts:
     @cached_property
     def mount(self) -> Mount:
         """The mount of the model where the model's file has it."""
-        ranges: dict[str, tuple[float, ...]] = {}
-        for pattern, value in self.file.ranges.items():
-            require_rising(value, f"ranges.{pattern}")
-            ranges |= dict.fromkeys(self.matching(pattern, "ranges"), value)
+        ranges = self.by_joint(self.file.ranges, "ranges")
+        for joint, span in ranges.items():
+            require_rising(span, f"ranges.{joint}")
         return replace(
             self.unread,
             palm=self.palm_frame.link,
@@ -237,17 +236,15 @@ class Parts:
 
         What a pose of the file moves has one all the same.
         """
-        names = [
-            j for name in self.file.passive for j in self.matching(name, "passive")
-        ]
+        joints = self.by_joint(dict.fromkeys(self.file.passive), "passive")
         moved = set[str]()
         for title in ("opened", "closed", "start"):
             moved |= self.by_joint(getattr(self.file, title) or {}, title).keys()
         looped = set[str]().union(*mount.loops(self.raw))
         for joint in self.raw.joints:
             if joint.parent.name in looped and joint.name not in moved:
-                names.append(joint.name)
-        return tuple(dict.fromkeys(names))
+                joints[joint.name] = None
+        return tuple(joints)
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
@@ -276,20 +273,21 @@ class Parts:
         followers = {coupling.joint for coupling in mount.followed(self.spec)}
         actuators = {}
         for actuator in self.spec.actuators:
-            joints = list(mount.arms(self.spec, actuator))
-            leading = [joint for joint in joints if joint not in followers]
-            actuators[(leading or joints)[0]] = actuator.name
+            joints = mount.arms(self.spec, actuator)
+            leader = min(joints, key=lambda joint: joint in followers)
+            actuators[leader] = actuator.name
         return actuators
 
     @cached_property
     def file_couplings(self) -> tuple[Coupling, ...]:
         """Couplings of the hand's file."""
-        couplings = []
-        for joint, law in self.file.couplings.items():
-            for name in (joint, law.follows):
-                require_one_of(self.joints, name, "couplings")
-            couplings.append(Coupling(joint, law.follows, law.ratio, law.offset))
-        return tuple(couplings)
+        laws = self.by_joint(self.file.couplings, "couplings")
+        for law in laws.values():
+            require_one_of(self.joints, law.follows, "couplings")
+        return tuple(
+            Coupling(joint, law.follows, law.ratio, law.offset)
+            for joint, law in laws.items()
+        )
 
     @cached_property
     def follows(self) -> tuple[Coupling, ...]:
@@ -329,20 +327,16 @@ class Parts:
 
     # -- joint angles
 
-    def matching(self, pattern: str, where: str) -> list[str]:
-        """Return the joints of that name, or pattern; ValueError where there is none."""
-        joints = [pattern] if pattern in self.joints else matching(self.joints, pattern)
-        if not joints:
-            require_one_of(self.joints, pattern, where)
-        return joints
-
-    def by_joint(self, values: Mapping[str, float], where: str) -> Angles:
+    def by_joint(self, table: Mapping[str, Any], where: str) -> dict[str, Any]:
         """Return a table of the file by joint; its keys are joints or patterns of them."""
-        return {
-            joint: value
-            for pattern, value in values.items()
-            for joint in self.matching(pattern, where)
-        }
+        values: dict[str, Any] = {}
+        for pattern, value in table.items():
+            is_name = pattern in self.joints
+            joints = [pattern] if is_name else matching(self.joints, pattern)
+            if not joints:
+                require_one_of(self.joints, pattern, where)
+            values |= dict.fromkeys(joints, value)
+        return values
 
     def angles(self, values: Mapping[str, float], where: str) -> Angles:
         """Return a table of the file by joint; ValueError for what is not in a joint's range."""
@@ -364,8 +358,7 @@ class Parts:
 
     def inside(self, joint: str) -> float:
         """Return the angle nearest to 0 that the joint can have."""
-        low, high = self.range_of(joint)
-        return min(max(0.0, low), high)
+        return float(np.clip(0.0, *self.range_of(joint)))
 
     @cached_property
     def closed(self) -> Angles:
@@ -417,6 +410,10 @@ class Parts:
                 require_one_of(self.digits, digit, "start_closing")
                 closing = self.at(share)
                 angles |= {joint: closing[joint] for joint in self.closing_of(digit)}
+        return self.completed(angles)
+
+    def completed(self, angles: Angles) -> Angles:
+        """Return the angles of all joints: these, what follows them, others as near to 0 as can be."""
         angles = {joint: self.inside(joint) for joint in self.joints} | angles
         return angles | self.followed(angles)
 
@@ -484,7 +481,7 @@ class Parts:
             raise ValueError(
                 "fingers: found the direction of palmar, expected one along the palm"
             )
-        return beside(fingers, self.palmar)
+        return perpendicular(fingers, self.palmar)
 
 
 def between(opened: Angles, closed: Angles, share: float) -> Angles:
@@ -503,14 +500,18 @@ def require_distinct(names: Names, where: str) -> None:
 
 def _by_last(coupling: Coupling, couplings: Mapping[str, Coupling]) -> Coupling:
     """Return a coupling to the joint that moves all those that follow each other."""
-    chain = [coupling.joint, coupling.driver]
+    chain = [coupling.joint]
     while beyond := couplings.get(coupling.driver):
-        chain.append(beyond.driver)
-        if beyond.driver in chain[:-1]:
+        chain.append(beyond.joint)
+        if beyond.driver in chain:
             raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
-        ratio, offset = coupling.ratio * beyond.ratio, coupling.at(beyond.offset)
-        rigid = coupling.is_rigid and beyond.is_rigid
-        coupling = Coupling(coupling.joint, beyond.driver, ratio, offset, rigid)
+        coupling = Coupling(
+            coupling.joint,
+            beyond.driver,
+            coupling.ratio * beyond.ratio,
+            coupling.at(beyond.offset),
+            coupling.is_rigid and beyond.is_rigid,
+        )
     return coupling
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..state import Array
 from ..validation import require_known
 from . import model_file, mount
-from .geometry import beside, geoms_of, meet, outside, posed, unit
+from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
 from .hand import RADIUS, SEGMENTS, Pitch, Point, Surface
 from .parts import DigitTable, Parts
 
@@ -64,9 +64,8 @@ def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
     for segment, low, high, _ in spans:
         rows[segment] = min(rows.get(segment, 5e-3), 0.3 * (high - low))
     require_known(table.rows, rows)
-    column = table.column
-    if column is None:
-        column = min(5e-3, 0.6 * min(half_width for *_, half_width in spans))
+    narrowest = min(half_width for *_, half_width in spans)
+    column = table.column or min(5e-3, 0.6 * narrowest)
     return Pitch(rows | table.rows, column, table.radius, table.large_radius)
 
 
@@ -90,25 +89,26 @@ def _segment(
         raise ValueError(
             f"digits.{empty.digit}: body {links[0]!r} has no geom that collides"
         )
-    if [geom.kind for geom in geoms] == ["capsule"]:
+    is_capsule = [geom.kind for geom in geoms] == ["capsule"]
+    if is_capsule:
         half = np.array(geoms[0].rotation)[:, 2] * geoms[0].size[1]
         ends = geoms[0].position + np.outer([-1.0, 1.0], half)
         ends = np.round(ends, NANO)  # as a model's file has it
         ends = ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")]
         along = unit(ends[1] - ends[0], links[0])
-        if side is None:
-            side, _ = _palmar(parts, data, links, along, inward)
+    if side is None:
+        side, to_tip = _palmar(parts, data, links, along, inward)
+        along = along if is_capsule else to_tip
+    if is_capsule:
         return replace(
             empty,
             centre=tuple(ends.mean(axis=0)),
             along=tuple(along),
-            palmar=tuple(beside(side, along)),
+            palmar=tuple(perpendicular(side, along)),
             radius=geoms[0].size[0],
             bone=(tuple(ends[0]), tuple(ends[1])),
         )
-    if side is None:
-        side, along = _palmar(parts, data, links, along, inward)
-    along = beside(along, side)
+    along = perpendicular(along, side)
     return _around(replace(empty, geoms=geoms, along=tuple(along), palmar=tuple(side)))
 
 
@@ -142,7 +142,7 @@ def _palmar(
         axis = unit(move, links[0])
         axis = -axis if axis @ sum(bending + carrying, np.zeros(3)) < 0 else axis
         if np.linalg.norm(np.cross(axis, along)) > 0.5:
-            along = beside(along, axis)
+            along = perpendicular(along, axis)
             return unit(np.cross(axis, along), links[0]), along
     for move in moves([links[0], *above], mount.LINEAR):
         side = unit(move, links[0])

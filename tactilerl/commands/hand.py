@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -94,11 +93,7 @@ def _write(choices: HandFlags, known: dict[str, Any]) -> None:
     with replacing(choices.out) as file:
         file.write((MARK + text).encode())
     console.print(f"{choices.out}: guessed; correct it in the file:")
-    table = tomllib.loads(text)
-    for key in ("palm", "palmar", "fingers"):
-        console.print(f"  {key}: {table[key]}")
-    for digit, about in table["digits"].items():
-        console.print(f"  digits.{digit}: {', '.join(about['links'])}")
+    console.print(text.partition("\n\n[opened]")[0])
     for note in notes:
         console.print(f"  note: {note}")
 
