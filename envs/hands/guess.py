@@ -319,11 +319,12 @@ class Guess:
     def stop(self) -> float:
         """Share of that way that the fingers can go.
 
-        There a fingertip is in the palm, or deep in another.
+        There a fingertip is in the palm, or a finger deep in another.
         """
-        tips = [self.chains[number].links[-1] for number in self.fingers]
-        pairs = [(self.frame.link, tip, IN_PALM) for tip in tips]
-        pairs += [(first, second, IN_FINGER) for first, second in combinations(tips, 2)]
+        fingers = [self.chains[number].links for number in self.fingers]
+        pairs = [(self.frame.link, links[-1], IN_PALM) for links in fingers]
+        for first, second in combinations(fingers, 2):
+            pairs += [(*pair, IN_FINGER) for pair in product(first, second)]
 
         def is_deep(share: float) -> Array:
             data = self.posed(between(*self.bent, share))
