@@ -346,6 +346,24 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     ]
 
 
+def off_skin(taxels: Taxels, hand: Hand) -> list[str]:
+    """Return names of the taxels that nothing carries.
+
+    Those of grids lie beyond an end of their segment; the spheres of points do not reach the skin of
+    their link.
+    """
+    names, places = [], zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
+    for point, (index, (row, _, height)) in zip(taxels.points, places, strict=True):
+        surface = hand.surfaces[index]
+        low, high, half_width = surface.span
+        distance = max(low - row, row - high) - half_width
+        if height:
+            distance = abs(surface.skin(np.array(point.position))[0])
+        if distance > point.radius:
+            names.append(point.name)
+    return names
+
+
 CENTRE = ((0.0, 0.0),)
 CORNERS = ((1.0, -1.0), (1.0, 1.0), (-1.0, -1.0), (-1.0, 1.0))
 EDGES = ((1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0))

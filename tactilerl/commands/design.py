@@ -119,7 +119,7 @@ def _print(result: Design) -> None:
         table.add_row(*_cells(row, result))
     console.print(table)
     if flags_given.taxel_threshold:
-        uses = {force or 0.0: use[:2] for force, use in result.uses.items()}
+        uses = {use.threshold or 0.0: (use.touch, use.blind) for use in result.uses}
         console.print(gate.where_touch_stops(uses))
     for row in result.rows:
         if row.chosen_from is not None:

@@ -14,7 +14,6 @@ from ..envs.grasp import GraspConfig, setup
 from ..envs.scenes import NamedScene
 from ..envs.validation import nearest
 from ..errors import InputError, input_errors
-from ..pictures import hand_map
 from ..terminal import flags
 
 T = TypeVar("T")
@@ -79,7 +78,7 @@ def read_scene(
 def layout_notes(name: str, layout: str) -> list[str]:
     """Return notes about a layout on a hand.
 
-    They name places where it wants taxels and the hand has no surface, and its taxels that lie beyond
+    They name places where it wants taxels and the hand has no surface, and its taxels off the skin of
     theirs.
 
     Raise ValueError where it names places that the hand lacks and does not say that it may.
@@ -91,10 +90,7 @@ def layout_notes(name: str, layout: str) -> list[str]:
         "no taxels at {}, which " + name + " does not have": layouts.left_out(
             wanted, hand
         ),
-        "beyond the end of their segment: {}": hand_map.beyond(hand, placed),
-        "further from the skin of their link than they reach: {}": hand_map.off_skin(
-            hand, placed
-        ),
+        "off the skin of their segment: {}": layouts.off_skin(placed, hand),
     }
     notes = [
         f"layout {layouts.short(layout)}: {text.format(', '.join(names))}"

@@ -42,18 +42,16 @@ def panels(hand: Hand) -> list[Panel]:
 
     Digits stand side by side, their segments from the base up to the tip, and the palm below them.
     """
-    spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
+    spans = [np.multiply(1e3, surface.span).tolist() for surface in hand.surfaces]
     is_usual = set(hand.digits) <= set(DIGITS)
     columns = [d for d in DIGITS if d in hand.digits] if is_usual else hand.digits
     middles: dict[str, float] = {}
     right = 0.0
     for digit in columns:
-        widths = [
-            half_width
-            for surface, (*_, half_width) in zip(hand.surfaces, spans, strict=True)
-            if surface.digit == digit
-        ]
-        half = max(*widths, LETTER_WIDTH * len(digit) / 2 - EDGE)
+        half = LETTER_WIDTH * len(digit) / 2 - EDGE
+        for surface, (*_, half_width) in zip(hand.surfaces, spans, strict=True):
+            if surface.digit == digit:
+                half = max(half, half_width)
         middles[digit] = right + half
         right += 2 * half + GAP
     tops = dict.fromkeys(columns, 0.0)
@@ -76,49 +74,24 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
 
     Each digit's name stands above its tip, and "palm" below the palm.
     """
-    both = list(zip(hand.surfaces, drawn, strict=True))
-    tips = [
-        (surface.digit, panel.x, panel.y + panel.high + EDGE + LETTERS / 3)
-        for surface, panel in both
-        if surface.segment == "distal"
-    ]
-    palm = [panel for surface, panel in both if surface.segment == "palm"]
-    if not palm:
-        return tips
-    middle = sum(panel.x for panel in palm) / len(palm)
-    return [*tips, ("palm", middle, min(p.y + p.low for p in palm) - EDGE - LETTERS)]
-
-
-def beyond(hand: Hand, taxels: Taxels) -> list[str]:
-    """Return names of the taxels beyond an end of their segment, where nothing carries them."""
-    drawn, found = panels(hand), []
-    for name, place in zip(taxels.names, places.of(taxels), strict=True):
-        panel = drawn[place.surface]
-        low, high = panel.low - panel.half_width, panel.high
-        if hand.surfaces[place.surface].segment != "distal":  # whose tip is round
-            high += panel.half_width
-        is_within = low - place.radius <= place.row <= high + place.radius
-        if not (is_within or place.height):  # which was put there as it is
-            found.append(name)
-    return found
-
-
-def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
-    """Return names of taxels, given as points, whose sphere does not reach the skin of their link."""
-    found = []
-    offsets = zip(taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True)
-    for taxel, index, (_, _, height) in offsets:
-        if height:
-            distance, _ = hand.surfaces[index].skin(np.array(taxel.position))
-            if abs(distance) > taxel.radius:
-                found.append(taxel.name)
-    return found
+    words, palm = [], []
+    for surface, panel in zip(hand.surfaces, drawn, strict=True):
+        if surface.segment == "palm":
+            palm.append((panel.x, panel.y + panel.low))
+        elif surface.segment == "distal":
+            baseline = panel.y + panel.high + EDGE + LETTERS / 3
+            words.append((surface.digit, panel.x, baseline))
+    if palm:
+        xs, lows = zip(*palm, strict=True)
+        words.append(("palm", sum(xs) / len(xs), min(lows) - EDGE - LETTERS))
+    return words
 
 
 class TaxelMap:
-    """Pictures of the unrolled hand, `height` pixels high, with the taxels that fire lit."""
+    """Draw the unrolled hand with the taxels that fire lit."""
 
     def __init__(self, hand: Hand, taxels: Taxels, height: int) -> None:
+        """Draw the hand and its taxels, `height` pixels high, for pictures to come."""
         from PIL import Image, ImageDraw
 
         self._panels = panels(hand)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -17,16 +16,15 @@ Spacing = Annotated[float, "[0.5, 50]"]
 """Distance of the taxels of a dense skin, mm."""
 
 
-@dataclass(frozen=True, order=True)
-class Place:
-    """One taxel. Lengths in mm, for these are the figures of a layout file."""
+class Place(NamedTuple):
+    """A taxel's place on a hand. Lengths in mm, for these are the figures of a layout file."""
 
     surface: int
     """Index in the hand's surfaces."""
     row: float
     column: float
     radius: float
-    height: float = 0.0
+    height: float
     """Height of a taxel that is given as a point, over the middle of the surface's grid."""
 
 

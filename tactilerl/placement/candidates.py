@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -122,15 +122,12 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
             allowed = "scenes of one hand, or --env"
             raise ValueError(f"scene: found {name} of {scene.env}, allowed {allowed}")
         config = configs[name] = setup(env, **{**scene.on(env), **simulator})
-        validation.validate(config)
+        validation.validate(waiting(config, flags.waits[0]))
         if tasks.TASKS[config.task].giver is None:
             raise ValueError(
                 f"scene: found {name}, whose object lies on the ground, allowed handovers; "
                 f"what touch can win there says tactilerl gate --scene {name}"
             )
-        if flags.start_closing and config.actions == "all":
-            allowed = "scenes whose actions are fingers or grip"
-            raise ValueError(f"start_closing: found {name}, allowed with {allowed}")
         for field, usual in INTACT.items():
             if (value := getattr(config, field)) != usual:
                 raise ValueError(
@@ -138,6 +135,11 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
                     "strikes no recording knows; --survives designs for the worst loss"
                 )
     return env, configs
+
+
+def waiting(scene: GraspConfig, wait: float | None) -> GraspConfig:
+    """Return a scene with a hand that is so far closed while it waits; None for as it is."""
+    return scene if wait is None else replace(scene, start_closing=wait)
 
 
 def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
@@ -213,12 +215,9 @@ def overlap(hand: Hand, taxels: Taxels) -> Array:
     near = cKDTree(points).query_pairs(2 * taxels.radii.max(), output_type="ndarray")
     first, second = near.T
     apart, turned = points[first] - points[second], normals[first] - normals[second]
-    half_turns = np.linalg.norm(turned, axis=1) / 2
-    with np.errstate(invalid="ignore"):
-        chords = np.nan_to_num((apart * turned).sum(axis=1) / (2 * half_turns))
-        longer = np.nan_to_num(
-            np.arcsin(np.minimum(half_turns, 1.0)) / half_turns, nan=1.0
-        )
+    half_turns = np.clip(np.linalg.norm(turned, axis=1) / 2, 1e-9, 1.0)
+    chords = (apart * turned).sum(axis=1) / (2 * half_turns)
+    longer = np.arcsin(half_turns) / half_turns
     squared = (apart**2).sum(axis=1) + chords**2 * (longer**2 - 1)
     is_too_near = (
         np.sqrt(squared) < taxels.radii[first] + taxels.radii[second] - TOUCHING
@@ -293,16 +292,21 @@ def losses_of(survives: str, hand: Hand, taxels: Taxels) -> Losses:
         return Losses(tuple(group.name for group in groups), np.array(rows, bool))
 
 
-def joined(sets: Iterable[Taxels]) -> Taxels:
-    """Return the taxels of all sets, each place once and in the order of places."""
-    taxels: dict[places.Place, Any] = {}
-    for each in sets:
-        parts = zip(each.points, each.surfaces, each.offsets, strict=True)
-        for place, part in zip(places.of(each), parts, strict=True):
-            taxels.setdefault(place, part)
-    ordered = [taxels[place] for place in sorted(taxels)]
-    points, surfaces, offsets = zip(*ordered, strict=True)
-    return Taxels(points, np.array(surfaces), np.array(offsets))
+def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
+    """Return the taxels of all sets, each place once and in the order of places.
+
+    Return with it which of them are those of each set.
+    """
+    points = [point for taxels in sets for point in taxels.points]
+    surfaces = np.concatenate([taxels.surfaces for taxels in sets])
+    offsets = np.concatenate([taxels.offsets for taxels in sets])
+    every = Taxels(tuple(points), surfaces, offsets)
+    _, firsts, columns = np.unique(
+        places.of(every), axis=0, return_index=True, return_inverse=True
+    )
+    ends = np.cumsum([len(taxels) for taxels in sets])
+    parts = np.split(columns.reshape(-1), ends[:-1])
+    return every.take(firsts.tolist()), [part.tolist() for part in parts]
 
 
 @dataclass(frozen=True)
@@ -333,19 +337,14 @@ class Pool:
         env, configs = scenes_of(flags)
         hand = hands.get(env)
         free = candidates(flags, hand)
-        references = {name: layouts.load(name).place(hand) for name in flags.beside}
+        sets = [layouts.load(name).place(hand) for name in flags.beside]
         existing = [layouts.load(flags.keep).place(hand)] if flags.keep else []
-        skin = joined([*existing, free, *references.values()])
-        index = {place: column for column, place in enumerate(places.of(skin))}
-
-        def columns(taxels: Taxels) -> list[int]:
-            return [index[place] for place in places.of(taxels)]
-
+        skin, columns = joined([*existing, free, *sets])
+        existing_columns = columns.pop(0) if flags.keep else []
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
-        existing_columns = [column for taxels in existing for column in columns(taxels)]
         taken = {spots[column] for column in existing_columns}
-        free_columns = [c for c in columns(free) if spots[c] not in taken]
+        free_columns = [c for c in columns[0] if spots[c] not in taken]
         return cls(
             flags=flags,
             env=env,
@@ -354,7 +353,7 @@ class Pool:
             skin=skin,
             columns=[*existing_columns, *free_columns],
             n_existing=len(existing_columns),
-            references={name: columns(taxels) for name, taxels in references.items()},
+            references=dict(zip(flags.beside, columns[1:], strict=True)),
             losses=losses_of(flags.survives or "taxel", hand, skin),
         )
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from .. import statistics
 from ..envs import layouts, validation
-from ..envs.grasp import GraspConfig
 from ..envs.layouts import Layout
 from ..pictures import places
 from ..scripted import gate
 from . import cover
-from .candidates import DesignFlags, Pool
+from .candidates import DesignFlags, Pool, waiting
 from .cover import Starts
 from .recording import record
 
@@ -24,8 +23,6 @@ CHOICE, TEST = 500_000, 750_000
 """Seeds of starts to choose from, and to judge on; those of the gate are others."""
 RANDOM_SETS = 20
 N_RESAMPLES = 10_000
-MADE = "placed by tactilerl"
-"""Stands in the description of every layout that was designed."""
 ByWait = dict[float | None, Starts]
 """Starts by how far the hand is closed while it waits; None for as the scene has it."""
 Tick = Callable[[], None]
@@ -66,17 +63,12 @@ class Row:
 class Use(NamedTuple):
     """Say what touch has to win, in the starts to choose from."""
 
+    threshold: float | None
+    """Force from which a taxel fires, N; None for what the scene or the layout says."""
     touch: float
     """Success of a hand that feels with all candidates."""
     blind: float
     """Success of the best scripted hand without touch."""
-    sense: str
-    """The sense of that hand."""
-
-    @property
-    def pays(self) -> bool:
-        """True if touch wins enough for a design to tell anything."""
-        return gate.pays(self.touch, self.blind)
 
 
 @dataclass(frozen=True)
@@ -94,19 +86,16 @@ class Design:
     """The layout with the most success, of those to compare with."""
     rows: list[Row]
     """Rows for each threshold after the other."""
-    uses: dict[float | None, Use]
-    """Uses of touch, by threshold. The fields before `rows` are of the first."""
+    uses: list[Use]
+    """Uses of touch for each threshold. The fields before `rows` are of the first."""
 
     def layout(self, n: int) -> Layout:
         """Return a layout of `n` taxels, and those that were there already."""
-        scenes = ", ".join(self.pool.scenes)
-        about = f"{n} {'taxel' if n == 1 else 'taxels'} {MADE} for {scenes}"
-        if survives := self.pool.flags.survives:
-            about += f", to survive the loss of any {layouts.short(survives)}"
-        if (closing := self.waits_at(n)) is not None:
-            about += f", waiting {closing:g} closed"
+        about = f"{n} {'taxel' if n == 1 else 'taxels'} placed by tactilerl for "
         taxels = self.pool.skin.take(self.chosen[n])
-        return layouts.of_taxels(taxels, self.pool.hand, about)
+        return layouts.of_taxels(
+            taxels, self.pool.hand, about + ", ".join(self.pool.scenes)
+        )
 
     def waits_at(self, n: int) -> float | None:
         """Return the share by which the hand with `n` taxels is closed while it waits.
@@ -119,9 +108,8 @@ class Design:
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
         pool, names = self.pool, validation.names(DesignFlags) - {"workers"}
-        chosen = {n: pool.skin.take(taxels) for n, taxels in self.chosen.items()}
         return {
-            "about": f"taxels {MADE}",
+            "about": "taxels placed by tactilerl",
             "env": pool.env,
             "simulator": next(iter(pool.scenes.values())).simulator,
             "asking": {name: getattr(pool.flags, name) for name in sorted(names)},
@@ -129,13 +117,10 @@ class Design:
             "early": pool.early,
             "beside": self.best,
             "rows": [asdict(row) for row in self.rows],
-            "uses": [
-                {"threshold": threshold, **use._asdict()}
-                for threshold, use in self.uses.items()
-            ],
+            "uses": [use._asdict() for use in self.uses],
             "places": {
-                n: [asdict(place) for place in places.of(taxels)]
-                for n, taxels in chosen.items()
+                n: [place._asdict() for place in places.of(pool.skin.take(columns))]
+                for n, columns in self.chosen.items()
             },
         }
 
@@ -153,16 +138,16 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
         pool.without(np.any([starts.early for starts in choice.values()], axis=0))
         for choice in choices
     ]
-    blind, uses = cache(partial(_blind, pool, workers)), {}
+    blind, uses = cache(partial(_blind, pool, workers)), []
     for threshold, choice, each in zip(flags.thresholds, choices, pools, strict=True):
         rates = {wait: cover.value(choice[wait], each.columns) for wait in choice}
         wait = max(rates, key=rates.__getitem__)
-        uses[threshold] = Use(rates[wait], *blind(wait))
-    best = max(uses.values(), key=lambda use: use.touch - use.blind)
-    if not best.pays:
+        uses.append(Use(threshold, rates[wait], blind(wait)))
+    if not any(gate.pays(use.touch, use.blind) for use in uses):
+        best = max(uses, key=lambda use: use.touch)
         raise ValueError(
-            f"scene: touch cannot help here: a hand that goes by {best.sense} succeeds in "
-            f"{best.blind:.2f} of the starts, one that feels with all candidates in {best.touch:.2f}"
+            f"scene: touch cannot help here: a hand without succeeds in {best.blind:.2f} of the "
+            f"starts, one that feels with all candidates in {best.touch:.2f}"
         )
     tests = _played(pool, TEST, flags.test_starts, workers, tick)
     designs = [
@@ -172,23 +157,16 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
     return replace(designs[0], rows=[row for each in designs for row in each.rows])
 
 
-def _blind(pool: Pool, workers: int, wait: float | None) -> tuple[float, str]:
-    """Return the success of the best scripted hand without touch, and its sense."""
-    n, rate, senses = min(pool.flags.starts, 100), 0.0, dict[str, None]()
-    for scene in pool.scenes.values():
-        hands = gate.examine(
-            pool.env, waiting(scene, wait), n, max(1, n // 20), 0, workers,
-            senses=("joints", "sight"),
-        )  # fmt: skip
-        best = gate.without_touch(hands)
-        rate += best.rate / len(pool.scenes)
-        senses[best.name] = None
-    return rate, " or ".join(senses)
-
-
-def waiting(scene: GraspConfig, wait: float | None) -> GraspConfig:
-    """Return a scene with a hand that is so far closed while it waits; None for as it is."""
-    return scene if wait is None else replace(scene, start_closing=wait)
+def _blind(pool: Pool, workers: int, wait: float | None) -> float:
+    """Return the success of the best scripted hand without touch, the mean over scenes."""
+    n = min(pool.flags.starts, 100)
+    examine = partial(
+        gate.examine, pool.env, starts=n, search=max(1, n // 20), seed=0, workers=workers,
+        senses=("joints", "sight"),
+    )  # fmt: skip
+    scenes = [waiting(scene, wait) for scene in pool.scenes.values()]
+    hands = [gate.without_touch(examine(scene)) for scene in scenes]
+    return sum(hand.rate for hand in hands) / len(hands)
 
 
 def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[ByWait]:
@@ -217,7 +195,7 @@ def _judged(
     pool: Pool,
     choice: ByWait,
     test: ByWait,
-    uses: dict[float | None, Use],
+    uses: list[Use],
 ) -> Design:
     """Return what is chosen for one threshold, beside what it is compared with."""
     judge = Judge(choice, test, pool)
@@ -297,7 +275,7 @@ class Judge:
             layout=layout,
             taxels=len(taxels),
             success=success,
-            felt=float(cover.felt(starts, taxels).mean()),
+            felt=float((cover.first_firing(starts, taxels) < starts.lets_go).mean()),
             worst=worst,
             success_interval=_interval(success, len(starts)),
             worst_interval=_interval(worst, len(starts)),

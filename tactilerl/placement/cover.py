@@ -94,11 +94,6 @@ def first_firing(starts: Starts, taxels: Sequence[int]) -> Array:
     return np.asarray(starts.fires[:, list(taxels)].min(axis=1, initial=NEVER))
 
 
-def felt(starts: Starts, taxels: Sequence[int]) -> Array:
-    """Tell where one of these taxels fires before the object is let go, bool (n,)."""
-    return np.asarray(first_firing(starts, taxels) < starts.lets_go)
-
-
 def successes(starts: Starts, taxels: Sequence[int]) -> Array:
     """Tell which starts a hand with these taxels wins, bool (n,)."""
     return starts.succeeds[np.arange(len(starts)), first_firing(starts, taxels)]

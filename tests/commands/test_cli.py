@@ -362,7 +362,7 @@ class TestOtherCommands:
             main(command)
             out = " ".join(capsys.readouterr().out.split())
             assert "no taxels at thumb.palm, which shadow does not have" in out
-            assert "beyond the end of their segment: thumb.distal[+30,+0 mm], index.distal[" in out
+            assert "off the skin of their segment: thumb.distal[+30,+0 mm], index.distal[" in out
 
     def test_env_describe(self, capsys):
         out = printed(capsys, ["env", "--env", "shadow", "--layout", "5", "--describe"])

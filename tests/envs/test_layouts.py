@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tactilerl.envs import hands, layouts
-from tactilerl.pictures.hand_map import LIT, TaxelMap, beyond
+from tactilerl.pictures.hand_map import LIT, TaxelMap
 
 HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
@@ -68,12 +68,12 @@ def test_a_layout_that_names_what_a_hand_lacks_is_refused_unless_it_may():
 def test_taxels_beyond_their_segment_are_named(hand):
     hand = hands.get(hand)
     for known in layouts.names():
-        assert beyond(hand, layouts.load(known).place(hand)) == []
+        assert layouts.off_skin(layouts.load(known).place(hand), hand) == []
     patch = {"digits": ["index"], "segments": ["distal"], "radius_mm": 2}
     for offset in ([30, 0], [-45, 0]):
         far = layouts.parse({"patch": [{**patch, "offsets_mm": [offset, [0, 0]]}]}, Path("far.toml"))
         taxels = far.place(hand)
-        assert beyond(hand, taxels) == [taxels.names[0]]
+        assert layouts.off_skin(taxels, hand) == [taxels.names[0]]
 
 
 def test_grids_are_the_papers_figure():

@@ -11,7 +11,6 @@ import tactilerl
 from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, validation
-from tactilerl.pictures import hand_map
 from tactilerl.runs.store import RunDir
 
 from one_line import fails_with
@@ -184,12 +183,12 @@ class TestTaxelFiles:
         points = [point._replace(name=f"{i}") for i, point in enumerate(taxels.points)]
         far = points[0]._replace(position=(0.02, 0.0, -0.02))
         layout = layouts.Layout("far", "", (), (far, *points[1:]))
-        assert hand_map.off_skin(hand, layout.place(hand)) == ["0"]
+        assert layouts.off_skin(layout.place(hand), hand) == ["0"]
         shadow = hands.get("shadow")
         first, *others = layouts.load("6").place(shadow).points
         inside = first._replace(position=(0.0, 0.0, 0.01), radius=0.001)
         layout = layouts.Layout("inside", "", (), (inside, *others))
-        assert hand_map.off_skin(shadow, layout.place(shadow)) == [inside.name]
+        assert layouts.off_skin(layout.place(shadow), shadow) == [inside.name]
 
 
 class TestCommands:

@@ -221,8 +221,9 @@ class TestPrediction:
         config = setup("mpl", **{**scene.on("mpl"), **choices})
         layout = layouts.load("5")
         taxels = layout.place(hands.get("mpl"))
-        (starts,) = record("mpl", config, joined([taxels]), range(6), 1)
-        expected = cover.successes(starts, range(len(taxels)))
+        skin, [columns] = joined([taxels])
+        (starts,) = record("mpl", config, skin, range(6), 1)
+        expected = cover.successes(starts, columns)
         env = GraspEnv("mpl", dataclasses.replace(config, layout="5"))
         played = [Reflex("touch", 1, 1.0).play(env, number) for number in range(6)]
         assert played == expected.tolist()
@@ -318,7 +319,7 @@ class TestCommand:
         [
             (["--start-closing", "1"], "start_closing: found 1.0, allowed [0, 1)"),
             (["--scene"], "scene: found none"),
-            (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found all.toml"),
+            (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found 0.3, allowed"),
             (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
             (["--taxels", "1e9"], "taxels: found '1e9'"),

@@ -114,7 +114,7 @@ def design(request):
     recorded = [{wait: played(rng, len(pool.skin)) for wait in flags.start_closing} for _ in range(2)]
     judge = choice.Judge(*recorded, pool)
     rows = [judge.row("chosen", pool.columns[:3])]
-    return choice.Design(pool, *recorded, {3: pool.columns[:3]}, None, rows, {}), judge
+    return choice.Design(pool, *recorded, {3: pool.columns[:3]}, None, rows, []), judge
 
 
 @pytest.fixture
