@@ -76,16 +76,12 @@ def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     return np.asarray(value)
 
 
-def culprit(error: BaseException | None) -> str:
-    """Return the name of an imported module whose code raised an error, or what led to it.
-
-    It is "" where there is none.
-    """
+def is_of_module(error: BaseException | None) -> bool:
+    """Return True if the code of an imported module raised an error, or what led to it."""
     packages = {module.partition(".")[0] for module in imported}
     while error is not None:
         for frame, _ in traceback.walk_tb(error.__traceback__):
-            package = str(frame.f_globals.get("__name__")).partition(".")[0]
-            if package in packages:
-                return package
+            if str(frame.f_globals.get("__name__")).partition(".")[0] in packages:
+                return True
         error = error.__cause__
-    return ""
+    return False

@@ -247,8 +247,6 @@ def words(hint: Any) -> str:
         return f"one of {', '.join(inner)}"
     if kind is tuple:
         items = ["..." if part is ... else words(part) for part in inner]
-        if set(items) == {WORDS[float]}:
-            return f"{len(items)} numbers"
         return f"a list ({', '.join(items)})"
     if kind in (Union, UnionType):
         return " or ".join(map(words, inner))

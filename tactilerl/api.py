@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -120,15 +120,10 @@ class Learner:
         with _one_thread():
             if not self._epoch:
                 learner.check()
-            after = [self._count, callback or bool]
-            with EpochLog(learner, self._comm) if progress else nullcontext() as log:
-                if log is not None:
-                    after.insert(1, log.epoch)
-                training.learn(learner, self._epoch, *after)
+            with EpochLog(learner, self._comm, is_quiet=not progress) as log:
+                after = log.epoch, callback or (lambda row: None)
+                self._epoch = training.learn(learner, self._epoch, *after)
         return self
-
-    def _count(self, row: dict[str, Any]) -> None:
-        self._epoch = row["epoch"]
 
     def policy(self) -> Policy:
         """Return a copy of the current policy; further learning does not change it."""

@@ -19,8 +19,7 @@ import filelock
 
 from .errors import BusyError, InputError
 
-LARGEST = 10**9  # bytes of a table or a packed study
-MAX_JSON = 1_000_000  # bytes of a file with settings
+LARGEST = 10**9  # bytes of a file that is read as a whole
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
 PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
@@ -185,19 +184,16 @@ def no_link(name: str, flags: int) -> int:
     return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
-def require_name(name: Any, where: str) -> str:
+def require_name(name: Any, where: str) -> Any:
     """Return a name that files are called by.
 
     Raise InputError where it could lead out of a folder, is no text, or is too long.
     """
-    if not isinstance(name, str) or not NAME.fullmatch(name):
+    is_name = isinstance(name, str) and NAME.fullmatch(name)
+    if not is_name or len(name.encode()) > LONGEST_NAME:
         raise InputError(
-            f"{where}: found {str(name)[:60]!r}, expected a word of letters, digits, '-', '_' and '.'"
-        )
-    if len(name.encode()) > LONGEST_NAME:
-        raise InputError(
-            f"{where}: found a name of {len(name.encode())} bytes ({name[:40]}...), allowed up to "
-            f"{LONGEST_NAME}, because files get this name"
+            f"{where}: found {str(name)[:60]!r}, expected a word of letters, digits, '-', '_' and '.', "
+            f"of up to {LONGEST_NAME} bytes, for files get this name"
         )
     return name
 

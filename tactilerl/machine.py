@@ -45,15 +45,15 @@ def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
     return {
         "epoch": epoch,
         "env_steps": env_steps,
-        "versions": versions(),
-        "commit": commit(Path(__file__).resolve().parent),
+        "versions": _versions(),
+        "commit": _commit(Path(__file__).resolve().parent),
     }
 
 
-def versions(*more: str) -> dict[str, str]:
-    """Return the versions of Python, this package, its packages and `more`, where installed."""
+def _versions() -> dict[str, str]:
+    """Return the versions of Python, this package and those it uses, where installed."""
     result = {"tactilerl": __version__, "python": platform.python_version()}
-    for package in (*PACKAGES, *SIMULATORS, *more):
+    for package in (*PACKAGES, *SIMULATORS):
         try:
             result[package] = version(package)
         except PackageNotFoundError:
@@ -61,13 +61,7 @@ def versions(*more: str) -> dict[str, str]:
     return result
 
 
-def short(commit: str | None) -> str:
-    """Return the first 12 letters of a commit, and its "-dirty"."""
-    name, dash, dirty = (commit or "none").partition("-")
-    return f"{name[:12]}{dash}{dirty}"
-
-
-def commit(folder: Path) -> str | None:
+def _commit(folder: Path) -> str | None:
     """Return the commit of the repository that tracks this package in `folder`.
 
     It ends in "-dirty" where tracked files were changed; None where no repository tracks the package.

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from tactilerl.envs.state import Contacts, State
 
+TIMES = ("collect_s", "update_s", "steps_per_s")  # columns of progress.csv that no seed decides
 NO_CONTACTS = Contacts(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0), np.zeros((0, 3)))
 
 

@@ -14,9 +14,9 @@ import pytest
 import tactilerl
 import torch
 from tactilerl.runs import store
-from tactilerl.runs.store import TIMES
 
 from one_line import printed, python
+from states import TIMES
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
 ROOT = Path(__file__).resolve().parents[1]

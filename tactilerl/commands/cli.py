@@ -75,7 +75,8 @@ def _run(args: list[str]) -> int:
         if mpi.launched_rank() not in (None, "0"):
             time.sleep(1.0)  # mostly rank 0 has found the same, and ends the others
         _say("error", error)
-        if _module_of(error):
+        plugins = sys.modules.get("tactilerl.envs.plugins")
+        if plugins and plugins.is_of_module(error):
             traceback.print_exception(error)
         return BUSY if isinstance(error, BusyError) else BAD_INPUT
     except BrokenPipeError:
@@ -101,15 +102,6 @@ def _call(name: str, args: list[str], modules: list[str]) -> int:
             plugins.import_modules(modules)
         command = import_module(f".{name}", __package__)
     return int(command.main(args))
-
-
-def _module_of(error: Exception) -> str:
-    """Return the module, of those that the user had imported, that an error comes from, or ""."""
-    if "tactilerl.envs.plugins" not in sys.modules:
-        return ""
-    from ..envs import plugins
-
-    return plugins.culprit(error)
 
 
 def _help() -> None:

@@ -86,7 +86,7 @@ class RunConfig:
         return {name: part for name, part in parts.items() if part is not None}
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
-        """Return a copy with other values of some fields; ValueError naming an unknown field.
+        """Return a copy with other values of some fields; ValueError naming what is wrong with them.
 
         The fields may have their names of 0.4.0.
         """
@@ -96,7 +96,9 @@ class RunConfig:
         for name, part in self.parts.items():
             values = {k: v for k, v in choices.items() if k in vars(part)}
             chosen[name] = validation.replace(part, values)
-        return dataclasses.replace(self, **chosen)
+        config = dataclasses.replace(self, **chosen)
+        config.validate()
+        return config
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
@@ -245,9 +247,7 @@ def defaults(
         elif scene:
             raise ValueError(f"env: found {env!r}, allowed: {hands.allowed()}")
         run = RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps)
-        config = RunConfig(run, grasp, learner).choose(train)
-        config.validate()
-        return config
+        return RunConfig(run, grasp, learner).choose(train)
 
 
 def configure(choices: Mapping[str, Any]) -> RunConfig:
@@ -259,9 +259,7 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
     deciding = {key: choices.get(key) for key in ("algo", "env", "recipe", "scene")}
     rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}
     with input_errors():
-        config = defaults(**deciding).choose(rest)
-        config.validate()
-    return config
+        return defaults(**deciding).choose(rest)
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:

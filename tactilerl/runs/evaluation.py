@@ -100,15 +100,9 @@ def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
     }
     result["mean_return_ci"] = list(mean_interval(returns))
     if not np.isnan(successes).any():
-        result |= success_rate(successes)
-        result["mean_held_steps"] = float(
-            np.mean([episode["held"] for episode in played])
-        )
+        interval = statistics.wilson_interval(int(successes.sum()), len(played))
+        held = np.mean([episode["held"] for episode in played])
+        result["success_rate"] = float(successes.mean())
+        result["success_rate_ci"] = list(interval)
+        result["mean_held_steps"] = float(held)
     return result
-
-
-def success_rate(successes: np.ndarray) -> dict[str, Any]:
-    """Return the rate of successes (n,) of 0 or 1, with its Wilson interval."""
-    count, n = int(successes.sum()), len(successes)
-    interval = list(statistics.wilson_interval(count, n))
-    return {"success_rate": count / n, "success_rate_ci": interval}

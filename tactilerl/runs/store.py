@@ -33,7 +33,6 @@ from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import (
     LEFTOVER,
-    MAX_JSON,
     as_json,
     damage_named,
     make_folder,
@@ -60,7 +59,6 @@ CHECKPOINT |= {"experience": list, "spaces": str}
 PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
-TIMES = ("collect_s", "update_s", "steps_per_s")  # columns that no seed decides
 SHARE = "success_rate"  # ends the names of columns that are shares
 FINITE = -sys.float_info.max, sys.float_info.max
 Row = dict[str, str]
@@ -200,9 +198,7 @@ class RunDir:
             )
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(
-                json.loads(read_whole(self.config_file, MAX_JSON).decode())
-            )
+            return as_record(json.loads(read_whole(self.config_file)))
 
     # -- progress.csv ------------------------------------------------------------------------
 

@@ -29,7 +29,6 @@ import numpy as np
 from ..errors import InputError
 from ..files import (
     LEFTOVER,
-    MAX_JSON,
     as_json,
     damage_named,
     read_whole,
@@ -88,10 +87,9 @@ class Record:
 
     @property
     def seconds(self) -> float:
-        """The seconds spent in epochs, without starting and saving."""
-        made = np.diff(self.column("env_steps"), prepend=0)
-        speed = self.column("steps_per_s")
-        return float((made / np.where(speed > 0, speed, np.inf)).sum())
+        """The seconds spent in collecting and updating."""
+        columns = self.column("collect_s"), self.column("update_s")
+        return float(sum(map(np.nansum, columns)))
 
 
 class StudyFiles:
@@ -114,10 +112,7 @@ class StudyFiles:
         """Return the study that was run here last; raise InputError where there is none."""
         missing = f"{str(self.path)!r} is not a study's folder: no study.json in it"
         with damage_named(self.path / STUDY, "not a study of this version", missing):
-            data = self.read(STUDY)
-            if len(data) > MAX_JSON:
-                raise ValueError(f"it has more than {MAX_JSON:,} bytes")
-            return from_dict(json.loads(data))
+            return from_dict(json.loads(self.read(STUDY)))
 
     def run_dir(self, run: Run) -> RunDir:
         """Return the folder of one of its runs."""
@@ -131,10 +126,10 @@ class StudyFiles:
         """Read what there is of a run now."""
         name, problems = f"{RUNS}/{run.name}", list[str]()
 
-        def parsed(file: str, parse: Callable[[bytes], T], nothing: T) -> T:
+        def parsed(file: str, parser: Callable[[bytes], T], nothing: T) -> T:
             try:
                 with damage_named(Path(file)):
-                    return parse(self.read(file))
+                    return parser(self.read(file))
             except FileNotFoundError:
                 return nothing
             except InputError as error:
@@ -143,8 +138,11 @@ class StudyFiles:
 
         config = parsed(f"{name}/config.json", _config, dict[str, Any]())
         is_begun = bool(config or problems)
-        rows, cut = parsed(f"{name}/progress.csv", _rows, (list[Row](), ""))
-        failure = parsed(f"{name}.json", _failure, "")
+        table, nothing = f"{name}/progress.csv", (list[Row](), "")
+        rows, cut = parsed(table, lambda data: parse(data.decode()), nothing)
+        failure = parsed(
+            f"{name}.json", lambda data: str(json.loads(data)["reason"]), ""
+        )
         planned = config.get("run", {}).get("total_timesteps")
         planned = run.flags.get("total_timesteps", planned)
         steps = int(rows[-1]["env_steps"]) if config and rows else -math.inf
@@ -196,17 +194,9 @@ class StudyFiles:
 
 
 def _config(data: bytes) -> dict[str, Any]:
-    config = as_record(json.loads(data[: MAX_JSON + 1]))
+    config = as_record(json.loads(data))
     config["run"].pop("out", None)
     return config
-
-
-def _rows(data: bytes) -> tuple[list[Row], str]:
-    return parse(data.decode())
-
-
-def _failure(data: bytes) -> str:
-    return str(json.loads(data[: MAX_JSON + 1])["reason"]) or "failed"
 
 
 def load(path: Path) -> tuple[Study, list[Record]]:

@@ -18,7 +18,6 @@ import jinja2
 
 from .. import statistics
 from ..files import make_folder, replacing, require_file
-from ..machine import short
 from ..statistics import FEW_RUNS, Estimate, fewest_pairs
 from . import figures
 from .analysis import Analysis, SetupResult
@@ -103,7 +102,7 @@ def provenance(analysis: Analysis) -> str:
     """Return how many runs are done, how long they took, and of which commits they are."""
     done = [record for record in analysis.records if record.state == "done"]
     commits = Counter(
-        short(record.config["provenance"][-1]["commit"])
+        record.config["provenance"][-1]["commit"]
         for record in done
         if record.config.get("provenance")
     )

@@ -25,11 +25,18 @@ class EpochLog:
     """Print a line for each epoch; write TensorBoard events to a folder when given one."""
 
     def __init__(
-        self, learner: Learner, comm: Communicator, events: Path | None = None
+        self,
+        learner: Learner,
+        comm: Communicator,
+        events: Path | None = None,
+        is_quiet: bool = False,
     ) -> None:
         """Begin where `learner` is; `events` is the folder. Ranks but the first print nothing."""
         self.console = Console(
-            quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False
+            quiet=is_quiet or comm.rank > 0,
+            highlight=False,
+            soft_wrap=True,
+            markup=False,
         )
         self.total, self._first_step = learner.total_timesteps, learner.env_steps
         self._started = time.perf_counter()

@@ -20,10 +20,9 @@ from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import plugins
 from tactilerl.runs import evaluation, store
-from tactilerl.runs.store import TIMES
 
 from one_line import fails_with, printed, python
-from states import flat
+from states import TIMES, flat
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]

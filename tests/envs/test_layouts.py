@@ -110,7 +110,7 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("thumb", "toe"), "found 'toe', allowed: thumb"),
         ("[[patch]]\n" + GOOD.replace("distal", "tip"), "found 'tip', allowed: proximal"),
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
-        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "offsets_mm: found [0], allowed 2 numbers"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "offsets_mm: found [0], allowed a list"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "allowed [-50, 50]"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),

@@ -48,7 +48,7 @@ WRONG = [
     ("toml", "[closed]", "[shut]", "unknown key 'shut'"),
     ("toml", '"*_tip" = 0.4', '"*_toe" = 0.4', "closed: found '*_toe', allowed: left_knuckle"),
     ("toml", "fingers = [0, -1, 0]", "fingers = [0, 0, 1]", "fingers: found the direction of palmar"),
-    ("toml", "palmar = [0, 0, -1]", "palmar = [0, 0]", "palmar: found [0, 0], allowed 3 numbers"),
+    ("toml", "palmar = [0, 0, -1]", "palmar = [0, 0]", "palmar: found [0, 0], allowed a list"),
     ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, allowed a table"),
     ("toml", "object_size = 0.05", 'object_size = "5 cm"', "grasp 1.object_size: found '5 cm'"),
     ("toml", "[opened]", "[actions]\nkind = 'fly'\n[opened]", "actions.kind: found 'fly', allowed"),
