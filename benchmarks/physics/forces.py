@@ -103,7 +103,7 @@ def show(known: dict[str, dict[str, Any]]) -> None:
         figures = sensor[felt].mean(), np.abs(error).mean(), error.mean()
         rows.append((key, int(felt.sum()), *(f"{figure:.2f}" for figure in figures), *alike))
     above = " | ".join(f"same side of {threshold:g} N" for threshold in THRESHOLDS)
-    head = "readings | MuJoCo's sensor, mean, N | error, mean size, N | error, mean, N"
+    head = "readings | MuJoCo's sensor, mean, N | mean absolute error, N | mean error, N"
     markdown(f"| | {head} | {above} |", rows)
 
 
