@@ -69,13 +69,12 @@ def main(args: list[str]) -> int:
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
-            here, needed = ("with", "without") if read.run else ("without", "with")
-            raise InputError(
-                f"{flag}: found {here} a run folder, allowed only {needed} one"
-            )
+            needed = "without" if read.run else "with"
+            raise InputError(f"{flag}: allowed only {needed} a run folder")
     if read.run:
         hold_seconds = _hold_seconds(read, scene)
-        if read.video is None and len(read.run) == 1 and _has_display():
+        has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
+        if read.video is None and len(read.run) == 1 and has_screen:
             _watch(read.run[0], read.episodes, hold_seconds)
         else:
             _film(read, hold_seconds)
@@ -101,10 +100,6 @@ def _hold_seconds(read: RenderFlags, scene: GraspConfig) -> float:
         )
     is_given = scene.hold_seconds != usual.hold_seconds
     return scene.hold_seconds if is_given else render.HOLD_SECONDS
-
-
-def _has_display() -> bool:
-    return sys.platform != "linux" or any(os.environ.get(name) for name in SCREENS)
 
 
 def _watch(folder: Path, episodes: int, hold_seconds: float) -> None:

@@ -29,15 +29,12 @@ class SceneFlag:
 
 def require_env(env: str, scene: str) -> None:
     """Raise InputError for an environment that is a slip, or is no hand where a scene is named."""
-    if hands.is_hand(env):
-        return
-    if scene:
-        allowed = f"with --scene, allowed: {hands.allowed()}"
-        raise InputError(f"env: found {env!r} {allowed}")
     hint = nearest(env, [*hands.HANDS, *TOYS])
-    if hint and env not in gym.registry and env not in TOYS:
+    is_slip = hint and env not in gym.registry and env not in TOYS
+    if (scene or is_slip) and not hands.is_hand(env):
         raise InputError(
-            f"env: found {env!r}, {hint}allowed: {hands.allowed()}, a toy, a Gymnasium id"
+            f"env: found {env!r}, {hint}allowed: {hands.allowed()}; without a scene a toy or a "
+            "Gymnasium id too"
         )
 
 
@@ -85,16 +82,9 @@ def layout_notes(name: str, layout: str) -> list[str]:
     """
     wanted, hand = layouts.load(layout), hands.get(name)
     layouts.require_places(wanted, hand)
-    placed = wanted.place(hand)
-    places = {
-        "no taxels at {}, which " + name + " does not have": layouts.left_out(
-            wanted, hand
-        ),
-        "off the skin of their segment: {}": layouts.off_skin(placed, hand),
-    }
-    notes = [
-        f"layout {layouts.short(layout)}: {text.format(', '.join(names))}"
-        for text, names in places.items()
-        if names
-    ]
-    return [*hand.notes, *notes]
+    about, notes = f"layout {layouts.short(layout)}:", [*hand.notes]
+    if missing := ", ".join(layouts.left_out(wanted, hand)):
+        notes.append(f"{about} no taxels at {missing}, which {name} does not have")
+    if off_skin := ", ".join(layouts.off_skin(wanted.place(hand), hand)):
+        notes.append(f"{about} off the skin of their segment: {off_skin}")
+    return notes

@@ -167,7 +167,7 @@ class RunConfig:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, for config.json."""
         parts = {name: dataclasses.asdict(part) for name, part in self.parts.items()}
-        return {**dict.fromkeys(PARTS), **parts}
+        return dict.fromkeys(PARTS) | parts
 
     def identity(self) -> dict[str, Any]:
         """Return what makes it this run: plain values without those that may change on resume."""
@@ -181,14 +181,10 @@ class RunConfig:
 
     def difference(self, other: dict[str, Any]) -> str | None:
         """Return the first field in which `other`, an identity, is another run; None if none."""
-        for part, mine in self.identity().items():
-            theirs = other.get(part)
-            if not mine or not theirs:
-                if mine or theirs:
-                    return f"{part}: found in one of two runs"
-                continue
-            theirs = _completed(type(getattr(self, part)), theirs)
-            for key, value in mine.items():
+        mine = self.identity()
+        for name, part in self.parts.items():
+            theirs = _completed(type(part), other.get(name) or {})
+            for key, value in mine[name].items():
                 if theirs[key] != value:
                     why = LENGTH_COUNTS if key == "total_timesteps" else ""
                     return f"{key}: found {theirs[key]!r}, the run was made with {value!r}{why}"

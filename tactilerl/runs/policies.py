@@ -53,11 +53,12 @@ def load_policy(path: str | Path) -> Policy:
         return read_run(path).policy
     data = _read(path)
     with damage_named(path):
-        config_type, _ = algos.get(data["algo"])
+        config_type, learner_type = algos.get(data["algo"])
         config = from_saved(config_type, json.loads(data["learner"]), "learner")
         config.validate()
         spaces = Spaces.from_json(data["spaces"])
-        return _policy(data["algo"], config, spaces, data["state"])
+        policy: Policy = learner_type.saved_policy(config, spaces, data["state"])
+        return policy
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -89,12 +90,6 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     write_tensors(path, content)
 
 
-def _policy(algo: str, config: Any, spaces: Spaces, state: dict[str, Any]) -> Policy:
-    """Return the policy in a learner's state."""
-    policy: Policy = algos.get(algo)[1].saved_policy(config, spaces, state)
-    return policy
-
-
 def read_run(path: Path) -> Trained:
     """Return the policy of a run folder at its last checkpoint, and its configuration.
 
@@ -107,7 +102,8 @@ def read_run(path: Path) -> Trained:
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
         acting = saved.learner.acting(remaining)
-        policy = _policy(saved.run.algo, acting, spaces, state)
+        learner_type = algos.get(saved.run.algo)[1]
+        policy = learner_type.saved_policy(acting, spaces, state)
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

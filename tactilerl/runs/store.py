@@ -191,11 +191,6 @@ class RunDir:
 
     def record(self) -> Values:
         """Return what config.json holds; InputError when damaged."""
-        if os.path.isfile(self.path):  # False where the name is too long
-            raise InputError(
-                f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is "
-                "for Python (tactilerl.load_policy)"
-            )
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
             return as_record(json.loads(read_whole(self.config_file)))
