@@ -169,8 +169,9 @@ def _above_the_object(parts: Parts, built: Mount) -> Array:
     the hand is free of ground and object."""
     spec, room = built(), Hand.start_clearance / 2
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
-    spec.worldbody.add_geom(type=plane, size=[1, 1, 0.1])
-    spec.worldbody.add_geom(type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
+    around, usual = spec.worldbody, model_file.PLAIN.default
+    around.add_geom(usual, type=plane, size=[1, 1, 0.1])
+    around.add_geom(usual, type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
     model = model_file.compiled(spec)
     at = -_middle(parts, model) * [1.0, 1.0, 0.0]
     data = posed(model, parts.start)

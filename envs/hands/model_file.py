@@ -12,18 +12,8 @@ from xml.etree.ElementTree import Element
 import mujoco
 import numpy as np
 
-# Attributes of an element of MjSpec that say where it stands, not what it is like.
-NOT_DEFAULTS = {
-    "id",
-    "signature",
-    "parent",
-    "frame",
-    "compiler",
-    "classname",
-    "plugin",
-    "alt",
-    "name",
-}
+PLAIN = mujoco.MjSpec()
+"""MuJoCo's own defaults, `PLAIN.default`, for what is added to a model that has defaults."""
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
 MOST_BODIES, MOST_GEOMS = 1_000, 5_000
@@ -52,7 +42,6 @@ def read(path: Path) -> mujoco.MjSpec:
         )
     spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
-    _forget_defaults(spec)
     for number, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or f"{actuator.target} {number}"
         figures = [*actuator.gear, *actuator.gainprm, *actuator.biasprm]
@@ -171,17 +160,6 @@ def reading() -> Iterator[None]:
             yield
     except (ValueError, RecursionError) as error:
         raise ValueError(f"model: {' '.join(str(error).split())}") from None
-
-
-def _forget_defaults(spec: mujoco.MjSpec) -> None:
-    """Make what is added from here on, in the class `spec.default`, as MuJoCo has it: the file's own
-    elements have their values already."""
-    fresh = mujoco.MjSpec()
-    for kind in ("geom", "joint", "actuator"):
-        changed, usual = getattr(spec.default, kind), getattr(fresh.default, kind)
-        for name in set(dir(usual)) - NOT_DEFAULTS:
-            if not name.startswith(("_", "set_")):
-                setattr(changed, name, getattr(usual, name))
 
 
 # -- URDF ------------------------------------------------------------------------------------

@@ -146,24 +146,24 @@ class Mount:
             axis = np.round(turn / max(angle, 1e-9), 12)
             root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
         for name, axis in zip(SLIDES, rotation, strict=True):
-            slide = root.add_joint(spec.default, name=name, type=LINEAR, axis=axis)
+            slide = root.add_joint(
+                model_file.PLAIN.default, name=name, type=LINEAR, axis=axis
+            )
             slide.damping = [self.slides.damping, 0, 0]
             add_servo(spec, name, self.slides.gain, self.slides.force)
-        if finger_gain == 1.0:
-            return spec
         carrying = chain(spec.body(self.palm))
         for actuator in spec.actuators:
             moved = spec.joint(next(iter(arms(spec, actuator)))).parent.name
             if moved not in carrying:  # it moves a finger, and not the palm
-                for figure in ("gainprm", "biasprm", "forcerange"):
-                    value = np.array(getattr(actuator, figure)) * finger_gain
-                    setattr(actuator, figure, value)
+                actuator.gainprm *= finger_gain
+                actuator.biasprm *= finger_gain
+                actuator.forcerange *= finger_gain
         return spec
 
     def bare(self, visual: bool = False) -> mujoco.MjSpec:
         """Return the model with its joints and actuators as they will be, where its file has it."""
         spec = self.unfused(visual)
-        if self.fuses and any(map(is_fixed, spec.bodies)):
+        if self.fuses:
             for exclude in spec.excludes:  # a body that one names is not fused
                 names = exclude.bodyname1, exclude.bodyname2
                 first, second = (link_of(spec.body(name)).name for name in names)
@@ -453,7 +453,8 @@ def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:
 
 def add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
     """Add an actuator of the joint's name: force = gain x (target - position), at most `limit`."""
-    servo = spec.add_actuator(name=joint, target=joint, trntype=JOINT)
+    usual = model_file.PLAIN.default
+    servo = spec.add_actuator(usual, name=joint, target=joint, trntype=JOINT)
     servo.forcelimited, servo.forcerange = True, [-limit, limit]
     servo.set_to_position(kp=gain)
 
@@ -471,7 +472,8 @@ def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
     is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
     pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
     moves = sum(arms(spec, actuator).values()) > 0
-    return bool(pulls and moves and actuator.dyntype in DYNAMICS)
+    is_prompt = actuator.dyntype in DYNAMICS and not actuator.nsample
+    return bool(pulls and moves and is_prompt)
 
 
 def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
@@ -518,12 +520,8 @@ def servo_figures(
 def hold(
     model: mujoco.MjModel, data: mujoco.MjData, actuators: list[int], targets: Array
 ) -> None:
-    """Make servos hold these targets from now on, and before: in what they filter and delay, too."""
+    """Make servos hold these targets from now on, and before: in what they filter, too."""
     data.ctrl[actuators] = targets
     for actuator, target in zip(actuators, targets, strict=True):
         if model.actuator_actnum[actuator]:
             data.act[model.actuator_actadr[actuator]] = target
-        if n := int(model.actuator_history[actuator, 0]):
-            mujoco.mj_initCtrlHistory(
-                model, data, actuator, None, np.full((n, 1), target)
-            )

@@ -129,8 +129,6 @@ class Simulator(ABC):
 
     holds_gil: ClassVar[bool]
     """True where `step` keeps other threads of Python waiting."""
-    creeps: ClassVar[bool]
-    """True where what sticks creeps, so that an object at rest in the hand may yet slip out of it."""
     joint_limits: Array
     """Lowest and highest positions (n_joints, 2) of ``hand.joints``, rad or m, ±inf without one."""
 

@@ -232,7 +232,6 @@ class MujocoSimulator(Simulator):
     """Simulate one scene in MuJoCo."""
 
     holds_gil = False
-    creeps = True
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
@@ -251,18 +250,16 @@ class MujocoSimulator(Simulator):
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
         self._actuated = [hand.joints.index(joint) for joint in hand.actuated]
-        free = model.joint(OBJECT)
-        self._object_qpos = slice(int(free.qposadr[0]), int(free.qposadr[0]) + 7)
-        self._object_qvel = int(free.dofadr[0])
-        self._object_body = model.body(OBJECT).id
-        self._object_geom = model.geom(OBJECT).id
+        # The object is the last body, and its free joint the last joint.
+        self._object_qpos, self._object_qvel = slice(model.nq - 7, None), model.nv - 6
+        self._object_body, self._object_geom = model.nbody - 1, model.geom(OBJECT).id
         self._giver: Array | None = None
         if scene.giver is not None:
             actuators = [model.actuator(f"{GIVER}{axis}") for axis in range(3)]
             self._giver = np.array([actuator.id for actuator in actuators])
-        # The world is body 0, the object the last: links are what is between.
+        # The world is the first: links are what is between.
         self._bodies = slice(1, self._object_body)
-        names = [model.body(body).name for body in range(self._object_body)]
+        names = [model.body(body).name for body in range(model.nbody)]
         self._links = tuple(names[self._bodies])
         self._link_of_geom = (model.geom_bodyid - 1).tolist()
 

@@ -71,7 +71,6 @@ class PyBulletSimulator(Simulator):
     """Simulate one scene in PyBullet, with a client of its own."""
 
     holds_gil = True
-    creeps = False  # friction anchors
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
@@ -123,9 +122,13 @@ class PyBulletSimulator(Simulator):
             info = bullet.getJointInfo(self.hand, index)
             self._joint_index[info[1].decode()] = index
             self._links[info[12].decode()] = index
-        self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
+        self._body(0.0, {"shapeType": pybullet.GEOM_PLANE}, lateralFriction=1.0)
         self.object = self._body(
-            mass=scene.mass, friction=scene.friction, **_measures(scene.shape)
+            scene.mass,
+            _measures(scene.shape),
+            lateralFriction=scene.friction,
+            spinningFriction=SPINNING_FRICTION,
+            frictionAnchor=FRICTION_ANCHOR,
         )
         self._set_dynamics()
         for coupling in scene.hand.couplings:
@@ -146,32 +149,26 @@ class PyBulletSimulator(Simulator):
         law = {"gearRatio": -coupling.ratio, "relativePositionTarget": coupling.offset}
         bullet.changeConstraint(gear, **law, erp=GEAR_ERP, maxForce=GEAR_FORCE)
 
-    def _body(self, mass: float, friction: float, **shape: Any) -> int:
+    def _body(self, mass: float, shape: dict[str, Any], **dynamics: float) -> int:
         bullet = self._bullet
         body = int(bullet.createMultiBody(mass, bullet.createCollisionShape(**shape)))
         bullet.changeDynamics(
-            body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0
+            body, -1, linearDamping=0.0, angularDamping=0.0, **dynamics
         )
         return body
 
     def _set_dynamics(self) -> None:
-        """Set friction and damping.
+        """Set friction and damping of the hand.
 
         Bullet multiplies the frictions of two bodies: 1 everywhere but on the object.
         """
-        change, added = self._bullet.changeDynamics, self.scene.hand.added_inertia
-        change(
-            self.object,
-            -1,
-            spinningFriction=SPINNING_FRICTION,
-            frictionAnchor=FRICTION_ANCHOR,
-        )
+        added = self.scene.hand.added_inertia
         for name, index in self._links.items():
             body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
             inertia = (
                 self.model.body_inertia[body] + added if body >= 0 else np.zeros(3)
             )
-            change(
+            self._bullet.changeDynamics(
                 self.hand, index, lateralFriction=1.0, linearDamping=0.0, angularDamping=0.0,
                 jointDamping=JOINT_DAMPING, localInertiaDiagonal=inertia.tolist(),
             )  # fmt: skip

@@ -92,11 +92,10 @@ def _massless(name: str) -> str:
 def _link(model: mujoco.MjModel, body: int, folder: Path) -> str:
     """Return a body with what of it collides."""
     first = model.body_geomadr[body]
-    in_pairs = {*model.pair_geom1, *model.pair_geom2}
     collisions = [
         _collision(model, geom, folder)
         for geom in range(first, first + model.body_geomnum[body])
-        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in in_pairs
+        if model.geom_contype[geom] or model.geom_conaffinity[geom]
     ]
     return LINK.format(
         name=quoteattr(model.body(body).name),
@@ -154,29 +153,17 @@ def _joints(model: mujoco.MjModel, body: int) -> list[str]:
     for number, index in enumerate(indices):
         about = model.joint(index)
         kind, axis = _JOINTS.get(int(about.type[0])), about.axis
-        if kind is None or np.any(about.pos):
-            what = f"joint {about.name!r}, whose anchor is not its body's origin"
-            raise _unknown(what, "hinges and slides at the origin")
+        if kind is None or np.any(about.pos) or about.qpos0[0]:
+            what = f"joint {about.name!r}, whose anchor is not its body's origin or which has a ref"
+            raise _unknown(what, "hinges and slides at the origin, without ref")
         child = name
         if index != indices[-1]:
             child = f"{name} {number}"
             parts.append(_massless(child))
-        if ref := about.qpos0[0]:  # at which the joint is unmoved
-            pose = _moved(*pose, -ref * axis, kind)
         limits = about.range.tolist() if about.limited[0] else _UNLIMITED
         parts.append(_joint(about.name, kind, parent, child, pose, axis, limits))
         parent, pose = child, _UNMOVED
     return parts
-
-
-def _moved(
-    position: Array, quaternion: Array, by: Array, kind: str
-) -> tuple[Array, Array]:
-    """Return a pose, moved along or turned about an axis of its own."""
-    turn = Rotation.from_quat(quaternion, scalar_first=True)
-    if kind == "prismatic":
-        return position + turn.apply(by), quaternion
-    return position, (turn * Rotation.from_rotvec(by)).as_quat(scalar_first=True)
 
 
 def _joint(

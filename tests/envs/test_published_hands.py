@@ -168,7 +168,6 @@ class TestCouplings:
 SERVOS = {
     "gear": '<position name="l_a" joint="l_a" kp="5" gear="2"/>',
     "activation": '<position name="l_a" joint="l_a" kp="5" timeconst="0.5"/>',
-    "delay": '<position name="l_a" joint="l_a" kp="5" delay="0.2" nsample="60"/>',
     "own units": '<general name="l_a" joint="l_a" biastype="affine" gainprm="0.02" biasprm="0 -5 0" '
     'ctrlrange="0 255"/>',
 }
@@ -201,6 +200,7 @@ class TestServos:
         [
             ['<motor name="m" joint="l_a"/>'],
             [*ALL, '<position name="m" joint="l_a" kp="1"/>'],
+            [*ALL[1:], '<position name="m" joint="l_a" kp="5" delay="0.2" nsample="60"/>'],
             [*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'],
             [*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'],
             [*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'],
@@ -227,15 +227,6 @@ class TestServos:
         assert "bar" in hand.notes[0]
         hand = hands.get(made(toml='passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b")))
         assert "r_b" not in hand.actuated
-
-    @pytest.mark.pybullet
-    def test_joints_that_rest_elsewhere_than_at_0(self, made):
-        """MuJoCo's `ref`."""
-        path = made(MODEL.replace("damping", 'ref="0.5" damping', 2))
-        tips = [made_env(path, simulator).simulator.state().fingertips for simulator in BOTH]
-        assert tips[1] == pytest.approx(tips[0], abs=1e-6)
-        straight = made_env(made()).simulator.state().fingertips
-        assert np.abs(tips[0] - straight).max() > 0.01
 
     @pytest.mark.parametrize("more", ["", "</body><body name='other' pos='0.2 0 0.3'>" + PALM])
     def test_models_in_degrees(self, made, more):
