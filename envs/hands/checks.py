@@ -23,8 +23,10 @@ IN_GROUND = 1e-3  # m
 
 
 def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
-    """Return warnings about a hand. Raise ValueError if it does not hang still, closes away from its
-    palm, or starts in the ground."""
+    """Return warnings about a hand.
+
+    Raise ValueError if it does not hang still, closes away from its palm, or starts in the ground.
+    """
     spec = hand.build()
     spec.option.timestep = timestep
     spec.worldbody.add_geom(
@@ -60,8 +62,10 @@ def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjDa
 
 
 def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
-    """Raise ValueError for a model that does not hang still where it starts, its joints a little
-    moved."""
+    """Raise ValueError for a model that does not hang still where it starts.
+
+    Its joints are a little moved before.
+    """
     data = _begun(hand, model, NUDGE)
     held = [*hand.actuated, *(coupling.joint for coupling in hand.couplings)]
     places = [int(model.joint(joint).qposadr[0]) for joint in held]
@@ -104,8 +108,11 @@ def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
 
 
 def _weak(hand: Hand, model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return a note naming servos that do not close the hand in time while something presses against
-    each fingertip; none of a tendon of which another joint may go the way."""
+    """Return a note naming servos that do not close the hand in time.
+
+    Meanwhile something presses against each fingertip. It names none of a tendon of which another
+    joint may go the way.
+    """
     data = _begun(hand, model)
     mujoco.mj_forward(model, data)
     levers, jacobian = np.zeros(model.nv), np.zeros((3, model.nv))

@@ -30,8 +30,11 @@ TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
 def load(path: Path) -> Hand:
-    """Return the hand of a file; ValueError naming what is wrong with it or its model,
-    FileNotFoundError, and ImportError where the model's package is not installed."""
+    """Return the hand of a file.
+
+    Raise ValueError naming what is wrong with it or its model, FileNotFoundError, and ImportError where
+    the model's package is not installed.
+    """
     file = validation.fill(HandFile, validation.read(path, "hand file"))
     parts = Parts(file, path.parent)
     hand = _hand(parts, path)
@@ -123,8 +126,10 @@ def _finger_length(sides: tuple[Surface, ...]) -> float:
 
 
 def _reach(parts: Parts) -> float:
-    """Return how far the fingertips get from the palm's point, open or closed, m; at least the usual,
-    which is that of the library's hands."""
+    """Return how far the fingertips get from the palm's point, open or closed, m.
+
+    It is at least the usual, which is that of the library's hands.
+    """
     away = [Hand.reach]
     for share in (0.0, 0.5, 1.0) if parts.is_own else ():
         data = posed(parts.model, parts.pose(share))
@@ -165,8 +170,10 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
 
 
 def _above_the_object(parts: Parts, built: Mount) -> Array:
-    """Return where that point can be (3,), m: what closes around the object is above it, and as low as
-    the hand is free of ground and object."""
+    """Return where a point of the palm can be at the start (3,), m.
+
+    What closes around the object is above it, and as low as the hand is free of ground and object.
+    """
     spec, room = built(), Hand.start_clearance / 2
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
     around, usual = spec.worldbody, model_file.PLAIN.default
@@ -187,8 +194,10 @@ def _above_the_object(parts: Parts, built: Mount) -> Array:
 
 
 def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
-    """Return the middle between the fingertips (3,), m: of a hand with a thumb, between that and the
-    others, closed as far as an object just fits in."""
+    """Return the middle between the fingertips (3,), m.
+
+    Of a hand with a thumb it is between that and the others, closed as far as an object just fits in.
+    """
     if "thumb" not in parts.digits or len(parts.digits) == 2:
         half = posed(model, parts.pose(0.5))
         return np.asarray(parts.tips(half).mean(axis=0))
@@ -236,8 +245,10 @@ def _grasps(
 
 
 def _groups(parts: Parts) -> dict[str, Names]:
-    """Return the actuators that close together, by what that is called: those of each digit, or of
-    several."""
+    """Return the actuators that close together, by what that is called.
+
+    They are those of each digit, or of several.
+    """
     groups = parts.file.actions.groups or tuple((digit,) for digit in parts.digits)
     require_distinct(tuple(itertools.chain(*groups)), "actions.groups")
     found: dict[str, Names] = {}
@@ -273,8 +284,10 @@ def _joint_action(
 
 
 def _with_actions(file: HandFile, hand: Hand) -> Hand:
-    """Return the hand with the actions that the file wants: of joints, or increments of slides and
-    groups."""
+    """Return the hand with the actions that the file wants.
+
+    They are of joints, or increments of slides and groups.
+    """
     slides = file.slides
     if file.actions.kind == "joints":
         return hand

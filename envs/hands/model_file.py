@@ -23,8 +23,10 @@ LEAST_INERTIA = 1e-9  # kg m²: what a URDF rounds to zero
 
 
 def read(path: Path) -> mujoco.MjSpec:
-    """Return the model of a file, with nothing of it merged. Raise ValueError in one line for a file
-    that is wrong."""
+    """Return the model of a file, with nothing of it merged.
+
+    Raise ValueError in one line for a file that is wrong.
+    """
     root, files = parsed(path)
     is_urdf = root.tag == "robot"
     with reading():
@@ -57,8 +59,10 @@ def read(path: Path) -> mujoco.MjSpec:
 
 
 def parsed(path: Path) -> tuple[Element, list[Path]]:
-    """Return the XML of a model's file with what it includes in place, and the paths of all of its
-    files. Raise FileNotFoundError for what is no file, such as a pipe that never ends."""
+    """Return the XML of a model's file with what it includes in place, and the paths of its files.
+
+    Raise FileNotFoundError for what is no file, such as a pipe that never ends.
+    """
     files: list[Path] = []
 
     def parse(file: Path) -> Element:
@@ -124,8 +128,10 @@ def undrawable(spec: mujoco.MjSpec) -> list[str]:
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Return the compiled model. Raise ValueError in one line where it is wrong, a mesh of it cannot be
-    found, or is in mm."""
+    """Return the compiled model.
+
+    Raise ValueError in one line where it is wrong, a mesh of it cannot be found, or is in mm.
+    """
     with reading():
         model = spec.compile()
     sizes = np.where(model.geom_dataid >= 0, model.geom_rbound, 0.0)
@@ -166,8 +172,10 @@ def reading() -> Iterator[None]:
 
 
 def _prepare_urdf(robot: Element, path: Path) -> None:
-    """Give the meshes of a URDF their absolute paths, and leave out what only pictures need. Raise
-    ValueError for what MuJoCo would drop or misread."""
+    """Give the meshes of a URDF their absolute paths, and leave out what only pictures need.
+
+    Raise ValueError for what MuJoCo would drop or misread.
+    """
     options = robot.find("mujoco/compiler")
     folder = path.parent / (options.get("meshdir", "") if options is not None else "")
     for extension in robot.findall("mujoco"):
@@ -221,8 +229,10 @@ def _check_joints(robot: Element) -> None:
 
 
 def _mesh(name: str, *folders: Path) -> Path | None:
-    """Return the file of a URDF's mesh: beside it, under its meshdir, or in a package that a folder
-    above it belongs to. None where there is none."""
+    """Return the file of a URDF's mesh, None where there is none.
+
+    It is beside the URDF, under its meshdir, or in a package that a folder above it belongs to.
+    """
     first = folders[0].absolute()
     if name.startswith(PACKAGE):
         package, _, inside = name.removeprefix(PACKAGE).partition("/")

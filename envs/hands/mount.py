@@ -186,8 +186,11 @@ class Mount:
         return spec
 
     def unfused(self, visual: bool = False) -> mujoco.MjSpec:
-        """Return the model without what is left out, its bodies carried, what is fixed to them not yet
-        part of them. Raise ValueError where it has the name of something else in a scene."""
+        """Return the model without what is left out, its bodies carried.
+
+        What is fixed to them is not yet part of them. Raise ValueError where it has the name of
+        something else in a scene.
+        """
         spec = model_file.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
@@ -214,8 +217,11 @@ class Mount:
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
-        """Delete what the file says, what moves freely beside the hand, and what a scene has of its own
-        or has no use for."""
+        """Delete what no hand needs.
+
+        That is what the file says, what moves freely beside the hand, and what a scene has of its
+        own or has no use for.
+        """
         names = [each.name for kind in KINDS for each in getattr(spec, kind)]
         for pattern in self.drop:
             if not filter_names(names, pattern):
@@ -248,8 +254,10 @@ class Mount:
             spec.delete(element)
 
     def _couple(self, spec: mujoco.MjSpec) -> None:
-        """Couple by an equality what the file couples and neither a tendon nor an equality of the model
-        does. What follows another by one gets what a servo's joint has, or it yields under load."""
+        """Couple by an equality what the file couples and the model does not.
+
+        What follows another joint by one gets what a servo's joint has, or it yields under load.
+        """
         if not self.fuses:
             return
         tied = {part.target.name for tendon in spec.tendons for part in tendon.path
@@ -267,8 +275,11 @@ class Mount:
             damp(joint, self._servo(joint))
 
     def _drive(self, spec: mujoco.MjSpec) -> None:
-        """Have the model's servos in the units of their joints, or the library's on all joints but
-        those that follow another or are passive; and have all of them know a range."""
+        """Have servos on the joints, measured in the joints' units.
+
+        They are the model's, or the library's on all joints but those that follow another or are
+        passive. All joints that are driven have a range.
+        """
         if not self.keeps_servos:
             for actuator in spec.actuators:
                 spec.delete(actuator)
@@ -304,9 +315,12 @@ def _make_light(body: mujoco.MjsBody) -> None:
 
 
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
-    """Return the model with a single body at its root. Several are put on one rigid base, and so is one
-    that is in a frame or moves on a joint; a body that is named as root is all that there is, with what
-    it carries, at rest. Raise ValueError where there is none, or several move freely."""
+    """Return the model with a single body at its root.
+
+    Several are put on one rigid base, and so is one that is in a frame or moves on a joint; a body that
+    is named as root is all that there is, with what it carries, at rest. Raise ValueError where there
+    is none, or several move freely.
+    """
     roots, chosen = list(spec.worldbody.bodies), spec.body(root) if root else None
     if root and chosen is None:
         raise ValueError(f"root: found no body {root!r} in the model")
@@ -402,8 +416,10 @@ def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
-    """Yield a coupling where an equality of the model couples two joints: the second drives, unless
-    only the first has a servo. Raise ValueError where it is no straight line."""
+    """Yield a coupling where an equality of the model couples two joints.
+
+    The second drives, unless only the first has a servo. Raise ValueError where it is no straight line.
+    """
     driven = {joint for actuator in spec.actuators for joint in arms(spec, actuator)}
     for equality in spec.equalities:
         if (
@@ -466,8 +482,10 @@ def damp(joint: mujoco.MjsJoint, servo: HingeServo) -> None:
 
 
 def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
-    """Return whether it pulls a joint, or a tendon over joints, towards the position that is its
-    control."""
+    """Return whether an actuator pulls towards the position that is its control.
+
+    It may pull a joint, or a tendon over joints.
+    """
     is_affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
     is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
     pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
@@ -477,8 +495,10 @@ def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
 
 
 def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
-    """Return what each joint adds to the length of an actuator, per rad or m; {} where that depends on
-    where they are."""
+    """Return what each joint adds to the length of an actuator, per rad or m.
+
+    It is empty where that depends on where they are.
+    """
     gear = float(actuator.gear[0])
     if actuator.trntype == JOINT:
         return {actuator.target: gear}
@@ -491,8 +511,10 @@ def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
 
 
 def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
-    """Make the control of a servo the position of its joint, or of all joints of its tendon, as they
-    are where the servo holds still."""
+    """Make the control of a servo the position of its joint.
+
+    Of a tendon, it is that of all its joints, as they are where the servo holds still.
+    """
     gain, offset = actuator.gainprm[0], actuator.biasprm[0]
     stiffness, length = -actuator.biasprm[1], sum(arms(spec, actuator).values())
     if gain == stiffness and offset == 0 and length == 1:
@@ -505,8 +527,7 @@ def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None
 def servo_figures(
     model: mujoco.MjModel, name: str, joint: str
 ) -> tuple[float, float, float]:
-    """Return stiffness, damping and largest force of a servo of a compiled model, at its joint, in SI
-    units."""
+    """Return stiffness, damping and largest force of a servo at its joint, in SI units."""
     servo, moved = model.actuator(name), model.joint(joint)
     gain = servo.gainprm[0]
     arm = float(gain / -servo.biasprm[1])  # force on the joint by the servo's

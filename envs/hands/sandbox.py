@@ -21,8 +21,11 @@ MEMORY = 8 * 2**30  # bytes of address space
 
 
 def call(function: Callable[..., T], *args: Any) -> T:
-    """Return what a function of a module returns; its ValueErrors, OSErrors and ImportErrors are raised
-    here. Raise ValueError where it takes too long or too much memory, or ends its process."""
+    """Return what a function of a module returns.
+
+    Its ValueErrors, OSErrors and ImportErrors are raised here. Raise ValueError where it takes too long
+    or too much memory, or ends its process.
+    """
     if multiprocessing.parent_process() is not None:  # whoever started it has called it
         return function(*args)
     spawned = multiprocessing.get_context("spawn")

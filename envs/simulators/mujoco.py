@@ -234,6 +234,7 @@ class MujocoSimulator(Simulator):
     holds_gil = False
 
     def __init__(self, scene: Scene) -> None:
+        """Build a scene."""
         super().__init__(scene)
         self.model = model_file.compiled(build_spec(scene))
         _set_mean_inertia(self.model)
@@ -265,6 +266,7 @@ class MujocoSimulator(Simulator):
 
     @property
     def warnings(self) -> int:  # type: ignore[override]
+        """Number of times that MuJoCo has warned, resets included."""
         return self._past_warnings + sum(self.data.warning.number.tolist())
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
@@ -332,6 +334,7 @@ class MujocoSimulator(Simulator):
             raise SimulationError("MuJoCo's state is not finite, or huge")
 
     def carry(self, goal: Array) -> None:
+        """Make the giver carry the object towards `goal` (3,), m."""
         assert self.scene.giver is not None
         model, data, position = self.model, self.data, self.data.xpos[self._object_body]
         way = goal - position
@@ -343,6 +346,7 @@ class MujocoSimulator(Simulator):
         data.xfrc_applied[self._object_body, :3] = -self.scene.mass * model.opt.gravity
 
     def let_go(self) -> None:
+        """Carry the object no longer."""
         if self._giver is not None:
             self.model.opt.disableactuator |= 1 << GIVERS_GROUP
         self.data.xfrc_applied[self._object_body] = 0.0
@@ -352,6 +356,7 @@ class MujocoSimulator(Simulator):
         self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
 
     def state(self) -> State:
+        """Return what is true now."""
         data, body, start = self.data, self._object_body, self._object_qvel
         rotation = data.xmat[body].reshape(3, 3).copy()
         return self._state(
@@ -389,6 +394,7 @@ class MujocoSimulator(Simulator):
         return Contacts(points, np.array(links, int), np.array(forces), normals)
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
+        """Return an RGB picture (height, width, 3) uint8; OSError where nothing can draw."""
         size = camera.height, camera.width
         if self._renderer and (self._renderer.height, self._renderer.width) != size:
             self.close()
@@ -406,11 +412,13 @@ class MujocoSimulator(Simulator):
         return self._renderer.render()
 
     def show(self, spheres: Sequence[Sphere] = ()) -> None:
+        """Show the scene in a window."""
         if self._window is None:
             self._window = _Window(self.model)
         self._window.show(self.data, spheres)
 
     def close(self) -> None:
+        """Close the window and the renderer."""
         if self._window is not None:
             self._window.close()
             self._window = None

@@ -73,6 +73,7 @@ class PyBulletSimulator(Simulator):
     holds_gil = True
 
     def __init__(self, scene: Scene) -> None:
+        """Build a scene in a client of its own."""
         super().__init__(scene)
         hand = scene.hand
         self.model = model_file.compiled(scene.build_hand(visual=False))
@@ -270,10 +271,12 @@ class PyBulletSimulator(Simulator):
         return giver.pull(rest, position, np.array(velocity))
 
     def carry(self, goal: Array) -> None:
+        """Make the giver carry the object towards `goal` (3,), m."""
         position, _ = self._bullet.getBasePositionAndOrientation(self.object)
         self._rest, self._goal = np.array(position), goal
 
     def let_go(self) -> None:
+        """Carry the object no longer."""
         self._rest = None
 
     def _joint_states(self) -> list[tuple[float, float]]:
@@ -282,6 +285,7 @@ class PyBulletSimulator(Simulator):
         return [(state[0], state[1]) for state in states]
 
     def state(self) -> State:
+        """Return what is true now."""
         bullet = self._bullet
         position, xyzw = bullet.getBasePositionAndOrientation(self.object)
         velocity, spin = bullet.getBaseVelocity(self.object)
@@ -341,6 +345,7 @@ class PyBulletSimulator(Simulator):
         return self._painter.render(camera, spheres)
 
     def close(self) -> None:
+        """Release the client and the painter."""
         if self._painter is not None:
             self._painter.close()
         self._release()

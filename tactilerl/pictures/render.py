@@ -198,10 +198,12 @@ class Filmed:
     def __init__(
         self, simulator: Simulator, every: int, show: Callable[[], None]
     ) -> None:
+        """Wrap a simulator that stands at the start of a picture."""
         self._inner, self._every, self._show = simulator, every, show
         self._since = 0
 
     def __getattr__(self, name: str) -> Any:
+        """Return what the simulator has."""
         return getattr(self._inner, name)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
