@@ -1,4 +1,4 @@
-"""What can be seen to be wrong with a hand before anybody uses it: posed, and closed in the air."""
+"""Say what is wrong with a hand before anybody uses it: posed, and closed in the air."""
 
 from __future__ import annotations
 

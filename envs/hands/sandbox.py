@@ -16,7 +16,7 @@ from unittest import mock
 
 T = TypeVar("T")
 CPU_SECONDS, SECONDS = 30, 300
-"""Of reading: on a processor, and by the clock, which counts where a file is waited for."""
+"""Limits of reading, s: on a processor, and by the clock, which counts where a file is waited for."""
 MEMORY = 8 * 2**30  # bytes of address space
 
 
