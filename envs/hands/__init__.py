@@ -65,6 +65,8 @@ class Usage:
     """Id of its environment in Gymnasium's registry; by name it is `make(name)`."""
     scene: dict[str, Any] = field(default_factory=dict)
     """Fields of its scene that differ from the defaults of `GraspConfig`."""
+    closing: Any = None
+    """A value of 0.4.0 that nothing reads any more."""
 
 
 def is_hand(name: str) -> bool:
@@ -99,8 +101,7 @@ def usage(name: str) -> Usage:
     path = file(name)
     with validation.blamed(f"hand file {path}"):
         data = validation.read(path, "hand file")
-        environment = validation.table(data, "environment", {"id", "closing"})
-        environment.pop("closing", None)  # of 0.4.0, which nothing reads any more
+        environment = validation.table(data, "environment")
         scene = validation.table(data, "scene")
         return validation.fill(Usage, {**environment, "scene": scene}, "environment")
 

@@ -83,11 +83,7 @@ def meet(
 
     The ray goes through `above` (3,) along `direction` (3,). None where it misses them.
     """
-    if not geoms:
-        return None
-    start = above - FAR * direction
-    away, normal = _distances(geoms).along(start, direction)
-    return None if away < 0 else (start + away * direction, normal)
+    return _distances(geoms).along(above, direction) if geoms else None
 
 
 class Distances:
@@ -140,16 +136,14 @@ class Distances:
             mujoco.mj_geomDistance(model, data, geom, item, 2 * reach, None) <= reach
         )
 
-    def along(self, start: Array, direction: Array) -> tuple[float, Array]:
-        """Return the length of a ray to the geoms on their link, m, and the normal (3,) there.
-
-        The length is -1 where the ray misses them.
-        """
+    def along(self, above: Array, direction: Array) -> tuple[Array, Array] | None:
+        """Return where a ray meets the geoms on their link, and the normal there (`meet`)."""
         normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
+        start = above - FAR * direction
         away = mujoco.mj_ray(
             self._model, self._data, start, direction, group, True, -1, None, normal
         )
-        return float(away), normal
+        return None if away < 0 else (start + away * direction, normal)
 
     def nearest(self, point: Array) -> tuple[int, float]:
         """Return the geom that is nearest to a point (3,) of its link, and its distance, m."""

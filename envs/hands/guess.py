@@ -95,9 +95,9 @@ class Guess:
         """
         if not self.keys["palm"]:
             self.keys["palm"] = self._palm_of(spec)
+        bodies = [body.name for body in spec.bodies]
+        validation.require_one_of(bodies, self.keys["palm"], "palm")
         palm = spec.body(self.keys["palm"])
-        if palm is None:
-            raise ValueError(f"palm: found no body {self.keys['palm']!r} in the model")
 
         def n_joints(body: mujoco.MjsBody) -> int:
             return sum(len(child.find_all("joint")) for child in body.bodies)

@@ -365,12 +365,14 @@ class Parts:
         """Angles of the closed hand, of joints that have an actuator."""
         closed = self.angles(self.file.closed, "closed")
         followers = [coupling.joint for coupling in self.follows]
-        for joint in [joint for joint in closed if joint not in self.driven]:
-            drop = f", or give all joints the library's: drop = {quoted([*self.driven.values()])}"
-            raise ValueError(
-                f"closed.{joint}: found a joint without an actuator; leave it out"
-                f"{'' if joint in followers else drop}"
-            )
+        for joint in closed:
+            if joint not in self.driven:
+                drop = quoted([*self.driven.values()])
+                hint = f", or give all joints the library's: drop = {drop}"
+                raise ValueError(
+                    f"closed.{joint}: found a joint without an actuator; leave it out"
+                    f"{'' if joint in followers else hint}"
+                )
         return closed
 
     @cached_property
