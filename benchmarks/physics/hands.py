@@ -39,8 +39,10 @@ TRAIN += ["--workers", "1"]
 
 
 def found_model(model: str, folder: Path) -> str:
-    """Return what the command takes for a model: a path, or package:path; "" where that is not
-    installed. A repository is fetched into a folder, unless it is there."""
+    """Return what the command takes for a model: a path, or package:path; "" where not installed.
+
+    A repository is fetched into a folder, unless it is there.
+    """
     place, _, path = model.rpartition(":")
     if not place:
         return str(HERE / path)
@@ -56,8 +58,7 @@ def found_model(model: str, folder: Path) -> str:
 
 
 def guess(model: str) -> dict[str, Any]:
-    """Return what is guessed of a model's palm and digits, each by its last link; {} where nothing
-    is."""
+    """Return the guessed palm and digits of a model, each by its last link; {} without a guess."""
     try:
         file = tomllib.loads(describe(model, Path(), {})[0])
     except ValueError:
@@ -88,8 +89,7 @@ def _axis(text: str) -> list[float]:
 
 
 def measure(seconds: float, model: str) -> dict[str, Any]:
-    """Return what the commands say of a model, each in at most so many s, and their time on
-    processors."""
+    """Return what the commands say of a model, each in at most so many s, and their CPU time."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
         command = partial(_command, folder, seconds)

@@ -1,4 +1,4 @@
-"""Does the physics survive what it was not made for?
+r"""Does the physics survive what it was not made for?
 
 Each case runs one scene for some steps and reports how often it diverged (which must be caught),
 how often MuJoCo warned, the deepest overlap of hand and object, the fastest object and the worst
@@ -7,7 +7,7 @@ many let through. Exits with 1 when a case leaves its limits. Prints tables, and
 goes, into what is there already:
 
     python -m benchmarks hard_cases --steps 100 --out docs/data/hard_cases.json
-    python -m benchmarks hard_cases --hand mpl --simulator mujoco --case "random actions" \\
+    python -m benchmarks hard_cases --hand mpl --simulator mujoco --case "random actions" \
         --steps 100000 --out docs/data/hard_cases_long.json
 """
 
