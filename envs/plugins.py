@@ -76,12 +76,13 @@ def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     return np.asarray(value)
 
 
-def is_of_module(error: BaseException | None) -> bool:
-    """Return True if the code of an imported module raised an error, or what led to it."""
+def module_of(error: BaseException | None) -> str:
+    """Return the imported module whose code raised an error, or what led to it; "" without one."""
     packages = {module.partition(".")[0] for module in imported}
     while error is not None:
         for frame, _ in traceback.walk_tb(error.__traceback__):
-            if str(frame.f_globals.get("__name__")).partition(".")[0] in packages:
-                return True
+            name = str(frame.f_globals.get("__name__")).partition(".")[0]
+            if name in packages:
+                return name
         error = error.__cause__
-    return False
+    return ""

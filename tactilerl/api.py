@@ -13,6 +13,7 @@ print(tactilerl.evaluate(policy, env, episodes=20))
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
@@ -83,7 +84,7 @@ class Learner:
         self._run = validation.replace(RunOptions(algo=self.algo), options)
         validation.require(RunOptions, vars(self._run))
         validation.validate(self.config)
-        self._comm, self._epoch = Communicator(), 0
+        self._comm, self._epoch, self._process = Communicator(), 0, os.getpid()
         start = partial(_start, env, workers)
         with _one_thread():  # a thread that is started inside has one too
             started = training.start_learner(self._run, self.config, start, self._comm)
@@ -115,6 +116,11 @@ class Learner:
         """
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.require(RunOptions, vars(run))
+        if os.getpid() != self._process:  # its workers are in the other one, which it would wait for
+            raise ValueError(
+                "learn: found a process that was forked from the one that made this learner, "
+                "allowed the same one; make a learner here"
+            )
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         with _one_thread():

@@ -3,6 +3,7 @@ each mistake."""
 
 import json
 import math
+import os
 import pickle
 import runpy
 import sys
@@ -180,6 +181,17 @@ class TestLearner:
         left_alone = tactilerl.evaluate(lambda obs: [0.0], "lqr", episodes=3)
         assert steered["mean_return"] > left_alone["mean_return"]
         assert tactilerl.evaluate(Still(), "point-reach", episodes=2)["success_rate"] == 0
+
+    def test_a_forked_child_says_that_it_cannot_go_on(self):
+        agent = short()
+        if (child := os.fork()) == 0:
+            try:
+                agent.learn(20)
+            except ValueError as error:
+                os._exit("make a learner here" not in str(error))
+            finally:
+                os._exit(1)
+        assert os.waitpid(child, 0)[1] == 0
 
     @pytest.mark.parametrize("said", [True, False])
     def test_success_is_read_by_its_other_name(self, said):

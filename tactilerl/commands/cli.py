@@ -43,7 +43,9 @@ def main(args: Sequence[str] | None = None) -> int:
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(nowhere, stream.fileno())
-    except Exception:
+    except Exception as error:
+        if module := _module_of(error):
+            _say("error", f"in the module {module}: {type(error).__name__}: {error}")
         traceback.print_exc()
         code = 1
     if code and "mpi4py" in sys.modules:
@@ -75,8 +77,7 @@ def _run(args: list[str]) -> int:
         if mpi.launched_rank() not in (None, "0"):
             time.sleep(1.0)  # mostly rank 0 has found the same, and ends the others
         _say("error", error)
-        plugins = sys.modules.get("tactilerl.envs.plugins")
-        if plugins and plugins.is_of_module(error):
+        if _module_of(error):
             traceback.print_exception(error)
         return BUSY if isinstance(error, BusyError) else BAD_INPUT
     except BrokenPipeError:
@@ -102,6 +103,12 @@ def _call(name: str, args: list[str], modules: list[str]) -> int:
             plugins.import_modules(modules)
         command = import_module(f".{name}", __package__)
     return int(command.main(args))
+
+
+def _module_of(error: BaseException) -> str:
+    """Return the module of --import that an error comes from, or ""."""
+    plugins = sys.modules.get("tactilerl.envs.plugins")
+    return plugins.module_of(error) if plugins else ""
 
 
 def _help() -> None:
