@@ -245,10 +245,9 @@ class Guess:
             tips = [self.tips({joint: begin + way * step})[number] for way in (-1, 1)]
             down, up = np.linalg.norm(tips - middle, axis=1)
             way = low + high - 2 * begin
-            leans = abs(way) >= LEANING * (high - low)
-            if (slides or len(self.chains) == 2 or not leans) and abs(
-                down - up
-            ) > NEARER:
+            is_even = abs(way) < LEANING * (high - low)
+            by_tip = slides or is_even or len(self.chains) == 2
+            if by_tip and abs(down - up) > NEARER:
                 way = down - up
             opened, closed = (low, high) if way > 0 else (high, low)
             is_long = abs(closed - begin) >= abs(opened - begin)
