@@ -1,4 +1,4 @@
-"""Build the hand of a scene from its model's file: palm down on three slides, driven by position servos.
+"""Build the hand of a scene from its model: palm down on three slides, driven by position servos.
 
 Servos are the model's own, in the units of the joints they drive, or the library's.
 """
