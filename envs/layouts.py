@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from . import taxel_files, validation
-from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Point, Surface
+from .hands import DIGITS, SEGMENTS, Hand, Pitch, Point, Surface
 from .state import Array
 from .taxel_files import READERS, SensorTable, require_distinct
 from .validation import Newtons, require_one_of
@@ -299,14 +299,15 @@ def _on_surface(
     return point, index, (row, column, height)
 
 
-def require_places(layout: Layout, hand: Hand) -> None:
-    """Raise ValueError where a layout that is not partial names places that a hand lacks.
+def left_out(layout: Layout, hand: Hand) -> list[str]:
+    """Return what a layout names and a hand lacks.
 
-    A place is a digit, or a segment of one.
+    That is a digit, or a segment of one (thumb.palm), and a taxel where a link of any shape has a gap
+    (thumb.distal[+1,-1]). Raise ValueError for digits and segments unless the layout is partial.
     """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     there |= {(digit, "") for digit in hand.digits}
-    palms = [f"{digit}.palm" for digit, segment in there if segment == "palm"]
+    palms = sorted(f"{digit}.palm" for digit, segment in there if segment == "palm")
     wanted = [
         place
         for patch in layout.patches
@@ -314,36 +315,17 @@ def require_places(layout: Layout, hand: Hand) -> None:
         for _ in patch.offsets
     ]
     lacking = [place for place in wanted if place not in there and place[0] != "palm"]
+    names = dict.fromkeys(".".join(filter(None, place)) for place in lacking)
     if lacking and not layout.partial:
-        n, names = len(wanted), [".".join(filter(None, each)) for each in lacking]
+        n = len(wanted)
         raise ValueError(
-            f"layout {layout.name!r}: {n - len(lacking)} of {n} placed: "
-            f"{', '.join(dict.fromkeys(names))} are not on this hand (its palm is "
-            f"{', '.join(sorted(palms))}); partial = true in the layout's file leaves them out"
+            f"layout {layout.name!r}: {n - len(lacking)} of {n} placed: {', '.join(names)} are not on "
+            f"this hand (its palm is {', '.join(palms)}); partial = true in the layout's file leaves "
+            "them out"
         )
-
-
-def left_out(layout: Layout, hand: Hand) -> list[str]:
-    """Return places where a layout wants taxels and the hand has none.
-
-    There is no surface (thumb.palm), or a link of any shape has a gap (thumb.distal[+1,-1]).
-    """
-    there = {(surface.digit, surface.segment) for surface in hand.surfaces}
-    # All digits are the paper's, where this is a hand like those.
-    every = DIGITS if hand.name in HANDS else ()
-    wanted = [
-        place
-        for patch in layout.patches
-        for place in product(patch.digits or every, patch.segments or SEGMENTS)
-        if patch.is_on(*place)
-    ]
-    there |= {("palm", "palm")}
-    missing = [".".join(each) for each in dict.fromkeys(wanted) if each not in there]
-    return missing + [
-        point.name
-        for index, offset, point in layout.on_grids(hand)
-        if hand.surfaces[index].is_gap(*offset)
-    ]
+    grids = layout.on_grids(hand)
+    gaps = [point.name for i, spot, point in grids if hand.surfaces[i].is_gap(*spot)]
+    return [*names, *gaps]
 
 
 def off_skin(taxels: Taxels, hand: Hand) -> list[str]:

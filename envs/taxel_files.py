@@ -115,9 +115,6 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
         files.append(sensor.file)
         n_alike = files.count(sensor.file)
         stem = file.stem if n_alike == 1 else f"{file.stem} {n_alike}"
-        if abs(float(np.linalg.norm(sensor.quaternion)) - 1.0) > 0.1:
-            found = f"found {list(sensor.quaternion)}, expected one of length 1"
-            raise ValueError(f"{where}: quaternion: {found}")
         turn = Rotation.from_quat(sensor.quaternion, scalar_first=True).as_matrix()
         for link in sensor.links:
             for i, each in enumerate(read(folder / file, link), 1):
@@ -157,9 +154,7 @@ def _read_csv(text: str) -> Tables:
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heading = tuple(name.strip() for name in rows.fieldnames or ())
     rows.fieldnames = heading
-    if {*heading} - {"link", "name"} != {*COLUMNS[1:]} or len({*heading}) < len(
-        heading
-    ):
+    if {*heading} - {"link", "name"} != {*COLUMNS[1:]}:
         expected = f"[link, ]{', '.join(COLUMNS[1:])}[, name]"
         raise ValueError(f"found the columns {', '.join(heading)}, expected {expected}")
     for line, row in enumerate(rows, 2):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated
 
@@ -69,25 +70,25 @@ def main(args: list[str]) -> int:
         print(json.dumps(result.as_dict()))
         return 0
     _print(result)
-    layout_files = zip(written, result.chosen, strict=False)  # layouts come first
-    hints = {path: _hint(result, path, n) for path, n in layout_files}
-    for path in written:
-        console.print(f"{path}{hints.get(path, '')}")
+    chosen = [row for row in result.rows if row.layout == "chosen"]
+    hints = [_hint(result, *pair) for pair in zip(written, chosen, strict=False)]
+    for path, hint in zip_longest(written, hints, fillvalue=""):  # layouts come first
+        console.print(f"{path}{hint}")
     return 0
 
 
-def _hint(result: Design, path: Path, n: int) -> str:
+def _hint(result: Design, path: Path, row: Row) -> str:
     """Return what trains the hand with the layout."""
-    flags_given, waits = result.pool.flags, result.waits_at(n)
+    given, waits = result.pool.flags, row.start_closing
     values = {
-        "--scene": flags_given.scene[0],
-        "--env": flags_given.env,
-        "--simulator": flags_given.simulator,
-        "--layout": str(path),
-        "--start-closing": "" if waits is None else f"{waits:g}",
+        "scene": given.scene[0],
+        "env": given.env,
+        "simulator": given.simulator,
+        "layout": str(path),
+        "start-closing": "" if waits is None else f"{waits:g}",
     }
-    given = [f"{key} {pasted(value)}" for key, value in values.items() if value]
-    return f"    tactilerl train {' '.join(given)}"
+    words = [f" --{key} {pasted(value)}" for key, value in values.items() if value]
+    return f"    tactilerl train{''.join(words)}"
 
 
 def _print(result: Design) -> None:
@@ -122,8 +123,8 @@ def _print(result: Design) -> None:
         uses = {use.threshold or 0.0: (use.touch, use.blind) for use in result.uses}
         console.print(gate.where_touch_stops(uses))
     for row in result.rows:
-        if row.chosen_from is not None:
-            console.print(_bound(row, row.chosen_from))
+        if row.chosen_from is not None and row.bound is not None:
+            console.print(_bound(row, row.chosen_from, row.bound))
     console.print(_places(result))
 
 
@@ -151,16 +152,16 @@ def _rate(rate: float, interval: tuple[float, float] | None) -> str:
     return "{:.2f} ({:.2f} – {:.2f})".format(rate, *interval)
 
 
-def _bound(row: Row, reached: float) -> str:
+def _bound(row: Row, reached: float, bound: float) -> str:
     """Return how good a set of the same size could be."""
     best = f"{row.taxels} chosen: {reached:.3f} of the starts they were chosen from"
     if row.chosen_worst is not None:
         best += f", {row.chosen_worst:.3f} after the worst loss"
         reached = row.chosen_worst
-    if row.bound is not None and row.bound - reached < EXACT:
+    if bound - reached < EXACT:
         return f"{best}; no set of the same size has more"
-    bound = "" if row.bound is None else f"; none has more than {row.bound:.3f}"
-    return f"{best}, the best found{bound}"
+    limit = f"; none has more than {bound:.3f}" if bound < 1 else ""
+    return f"{best}, the best found{limit}"
 
 
 def _places(result: Design) -> Table:

@@ -81,7 +81,6 @@ def layout_notes(name: str, layout: str) -> list[str]:
     Raise ValueError where it names places that the hand lacks and does not say that it may.
     """
     wanted, hand = layouts.load(layout), hands.get(name)
-    layouts.require_places(wanted, hand)
     about, notes = f"layout {layouts.short(layout)}:", [*hand.notes]
     if missing := ", ".join(layouts.left_out(wanted, hand)):
         notes.append(f"{about} no taxels at {missing}, which {name} does not have")

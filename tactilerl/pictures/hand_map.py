@@ -36,6 +36,17 @@ class Panel(NamedTuple):
     high: float
     """Its ends, from there."""
 
+    @property
+    def box(self) -> Box:
+        """Its left, lower, right and upper edge on the map."""
+        x, y, half_width, low, high = self
+        return (
+            x - half_width - EDGE,
+            y + low - EDGE,
+            x + half_width + EDGE,
+            y + high + EDGE,
+        )
+
 
 def panels(hand: Hand) -> list[Panel]:
     """Return a panel for each of the hand's surfaces.
@@ -43,8 +54,9 @@ def panels(hand: Hand) -> list[Panel]:
     Digits stand side by side, their segments from the base up to the tip, and the palm below them.
     """
     spans = [np.multiply(1e3, surface.span).tolist() for surface in hand.surfaces]
-    is_usual = set(hand.digits) <= set(DIGITS)
-    columns = [d for d in DIGITS if d in hand.digits] if is_usual else hand.digits
+    columns = hand.digits
+    if set(columns) <= set(DIGITS):
+        columns = tuple(sorted(columns, key=DIGITS.index))
     middles: dict[str, float] = {}
     right = 0.0
     for digit in columns:
@@ -95,46 +107,42 @@ class TaxelMap:
         from PIL import Image, ImageDraw
 
         self._panels = panels(hand)
-        left = min(panel.x - panel.half_width for panel in self._panels) - MARGIN
-        right = max(panel.x + panel.half_width for panel in self._panels) + MARGIN
-        low = min(panel.y + panel.low for panel in self._panels) - MARGIN - LETTERS
-        top = max(panel.y + panel.high for panel in self._panels) + MARGIN + LETTERS
+        lefts, lows, rights, tops = zip(*(p.box for p in self._panels), strict=True)
+        margin = MARGIN - EDGE
+        left, right = min(lefts) - margin, max(rights) + margin
+        low, top = min(lows) - margin - LETTERS, max(tops) + margin + LETTERS
         self.extent = left, right, low, top
         """Its edges on the map, mm."""
         self._scale = height / (top - low)
         width = 2 * round(self._scale * (right - left) / 2)  # even: films want that
         self._blank = Image.new("RGB", (width, height), PAPER)
         draw = ImageDraw.Draw(self._blank)
-        for x, y, half_width, bottom, end in self._panels:
-            box = self._box(
-                x, y + (bottom + end) / 2, half_width + EDGE, (end - bottom) / 2 + EDGE
-            )
-            radius = self._scale * (ROUND * half_width + EDGE)
-            draw.rounded_rectangle(box, radius, PHALANX)
+        for panel in self._panels:
+            radius = self._scale * (ROUND * panel.half_width + EDGE)
+            draw.rounded_rectangle(self._pixels(*panel.box), radius, PHALANX)
         size = self._scale * LETTERS
         for text, x, y in labels(hand, self._panels):
-            at = self._box(x, y, 0.0, 0.0)[:2]
+            at = self._pixels(x, y, x, y)[:2]
             draw.text(at, text, LETTER, font_size=size, anchor="ms")
         self._discs = []
         for place in places.of(taxels):
-            x, y = self.point(place)
-            self._discs.append(self._box(x, y, place.radius, place.radius))
+            (x, y), r = self.point(place), place.radius
+            self._discs.append(self._pixels(x - r, y - r, x + r, y + r))
 
     def point(self, place: Place) -> tuple[float, float]:
         """Return where a taxel lies on the map, mm."""
         panel = self._panels[place.surface]
         return panel.x + place.column, panel.y + place.row
 
-    def _box(self, x: float, y: float, half_width: float, half_height: float) -> Box:
-        """Return the edges in pixels of what lies around (x, y), all mm."""
-        left, _, _, top = self.extent
-        right, down = self._scale * (x - left), self._scale * (top - y)
-        half_width, half_height = self._scale * half_width, self._scale * half_height
+    def _pixels(self, *box: float) -> Box:
+        """Return the left, upper, right and lower edge in pixels of a box on the map, mm."""
+        (left, _, _, top), scale = self.extent, self._scale
+        x0, y0, x1, y1 = box
         return (
-            right - half_width,
-            down - half_height,
-            right + half_width,
-            down + half_height,
+            scale * (x0 - left),
+            scale * (top - y1),
+            scale * (x1 - left),
+            scale * (top - y0),
         )
 
     def picture(self, lit: Iterable[bool]) -> Array:

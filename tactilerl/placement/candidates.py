@@ -162,9 +162,8 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
         if is_allowed[index] and has_margin(hand.surfaces[index], row, column, margin)
     ]
     if not allowed:
-        given = f"--only {' '.join(flags.only)} --not {' '.join(flags.leave_out)}"
-        given += f" --margin {flags.margin:g}"
-        raise ValueError(f"skin: found {flags.skin} with {given}: no taxel is left")
+        where = "that --only, --not and --margin allow"
+        raise ValueError(f"skin: found no place of {flags.skin} {where}")
     changes: dict[str, Any] = {}
     if flags.radius is not None:
         changes["radius"] = 1e-3 * flags.radius

@@ -53,7 +53,7 @@ class Row:
     chosen_worst: float | None = None
     """The same after the worst loss, where they were chosen for that."""
     bound: float | None = None
-    """No set of as many has more of what they were chosen for in those; None where nobody knows."""
+    """No set of as many has more of what they were chosen for in those; 1 where nobody knows."""
     difference: tuple[float, float, float] | None = None
     """Success less that of the best layout, and its 95 % interval."""
     threshold: float | None = None
@@ -96,14 +96,6 @@ class Design:
         return layouts.of_taxels(
             taxels, self.pool.hand, about + ", ".join(self.pool.scenes)
         )
-
-    def waits_at(self, n: int) -> float | None:
-        """Return the share by which the hand with `n` taxels is closed while it waits.
-
-        None stands for as the scene has it.
-        """
-        rows = (row for row in self.rows if (row.layout, row.taxels) == ("chosen", n))
-        return next(rows).start_closing
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
@@ -236,8 +228,7 @@ def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
         for starts in choice.values()
     ]
     best = max(sets, key=lambda chosen: (chosen.worst, chosen.value))
-    bounds = [chosen.bound for chosen in sets if chosen.bound is not None]
-    return best._replace(bound=max(bounds) if len(bounds) == len(sets) else None)
+    return best._replace(bound=max(chosen.bound for chosen in sets))
 
 
 class Judge:

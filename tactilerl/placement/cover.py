@@ -85,8 +85,8 @@ class Chosen(NamedTuple):
     """Share of the starts that count."""
     worst: float
     """The same after the worst loss that was thought of."""
-    bound: float | None
-    """No set of as many has more of `worst`; None where nobody knows."""
+    bound: float
+    """No set of as many has more of `worst`; 1 where nobody knows."""
 
 
 def first_firing(starts: Starts, taxels: Sequence[int]) -> Array:
@@ -230,12 +230,12 @@ def _exact(
     existing: Sequence[int],
     overlap: Array | None,
     losses: Array,
-) -> tuple[list[int] | None, float | None]:
-    """Return the best taxels and a bound of success after the worst loss; None where there is none."""
+) -> tuple[list[int] | None, float]:
+    """Return the best taxels, or None, and a bound of success after the worst loss."""
     n, m = starts.fires.shape
     rows, cases = _program(starts, losses)
     if len(rows) > MOST_ROWS:
-        return None, None
+        return None, 1.0
     if overlap is not None:
         for i, j in np.argwhere(np.triu(overlap)).tolist():
             if not (i in existing and j in existing):
@@ -267,7 +267,7 @@ def _exact(
         options={"node_limit": NODES, "mip_rel_gap": 1e-6},
     )
     if solved.x is None:
-        return None, None
+        return None, 1.0
     bound = int(1e-3 - solved.mip_dual_bound) / n  # whole starts
     return np.flatnonzero(solved.x[:m] > 0.5).tolist(), bound
 

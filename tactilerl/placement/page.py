@@ -13,7 +13,7 @@ import numpy as np
 
 from ..envs import layouts
 from ..pictures import places
-from ..pictures.hand_map import EDGE, LETTERS, TaxelMap, labels, panels
+from ..pictures.hand_map import LETTERS, TaxelMap, labels, panels
 from ..style import NAMES
 from .choice import Design
 from .cover import Starts
@@ -63,13 +63,8 @@ def _data(design: Design) -> dict[str, Any]:
         "title": f"{hand_name} in {NAMES.get(simulator, simulator)}: "
         + ", ".join(pool.scenes),
         "panels": [
-            [
-                panel.x - panel.half_width - EDGE,
-                panel.y + panel.high + EDGE,
-                2 * (panel.half_width + EDGE),
-                panel.high - panel.low + 2 * EDGE,
-            ]
-            for panel in panels(hand)
+            [left, high, right - left, high - low]
+            for left, low, right, high in (panel.box for panel in panels(hand))
         ],
         "labels": labels(hand, panels(hand)),
         "letters": LETTERS,
