@@ -129,8 +129,11 @@ class Learner:
             if not self._epoch:
                 learner.check()
             with EpochLog(learner, self._comm, is_quiet=not progress) as log:
-                after = log.epoch, callback or (lambda row: None)
-                self._epoch = training.learn(learner, self._epoch, *after)
+                for row in training.epochs(learner, self._epoch):
+                    self._epoch = row["epoch"]
+                    log.epoch(row)
+                    if callback is not None and callback(row) is False:
+                        break
         return self
 
     def policy(self) -> Policy:

@@ -255,15 +255,11 @@ class RunDir:
         path = self.checkpoint_file
         data = read_tensors(path, "checkpoint", FORMAT, CHECKPOINT)
         with damage_named(path):
-            epoch, parts = data["epoch"], data["experience"]
-            if epoch < 0 or not data["ranks"]:
-                raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
-            if any(type(part) is not int or not 1 <= part <= epoch for part in parts):
-                raise ValueError("experience of epochs that the run has not had")
-            if difference := config.difference(json.loads(data["config"])):
-                raise InputError(
-                    f"{path}: from another configuration than config.json ({difference})"
-                )
+            difference = config.difference(json.loads(data["config"]))
+        if difference:
+            raise InputError(
+                f"{path}: from another configuration than config.json ({difference})"
+            )
         return data
 
 
@@ -375,16 +371,11 @@ class Checkpoint:
             )
         with damage_named(self.run_dir.checkpoint_file):
             self.learner.load_state_dict(state)
-        if self._memory is not None:
-            self._epochs = data["experience"]
-            for epoch in self._epochs:
-                path = self._part(epoch, rank)
-                part = read_tensors(path, "checkpoint", FORMAT, PART)
-                with damage_named(path):
-                    if (part["epoch"], part["rank"]) != (epoch, rank):
-                        raise ValueError(
-                            "it is the experience of another epoch or rank"
-                        )
+            if self._memory is not None:
+                self._epochs = data["experience"]
+                for epoch in self._epochs:
+                    path = self._part(epoch, rank)
+                    part = read_tensors(path, "checkpoint", FORMAT, PART)
                     self._memory.add_experience(part["experience"])
         return int(data["epoch"])
 

@@ -53,9 +53,8 @@ def start_learner(
     _require_device(run.device)
     with ExitStack() as started:
         workers = started.enter_context(closing(start()))
-        cores = run.workers or free_cores(
-            comm.local_size
-        )  # a toy is played on one and learned from on two
+        # A toy is played on one core and learned from on two.
+        cores = run.workers or free_cores(comm.local_size)
         options = comm, run.seed, run.total_timesteps, run.device, cores
         learner = algorithm(hyperparameters, workers, *options)
         started.pop_all()
@@ -109,16 +108,13 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 notes.append("  nothing to do; raise --total-timesteps")
             with EpochLog(learner, comm, events) as log:
                 log.console.print("\n".join(filter(None, notes)))
-                for row in run_dir.rows():
-                    log.write_events(row)
-                append = [run_dir.append] if comm.rank == 0 else []
-                learn(
-                    learner,
-                    epoch,
-                    *append,
-                    lambda row: checkpoint.save(row["epoch"]),
-                    log.epoch,
-                )
+                for earlier in run_dir.rows():
+                    log.write_events(earlier)
+                for row in epochs(learner, epoch):
+                    if comm.rank == 0:
+                        run_dir.append(row)
+                    checkpoint.save(row["epoch"])
+                    log.epoch(row)
     return run_dir.path
 
 
@@ -155,19 +151,11 @@ def _begun(checkpoint: Checkpoint) -> int:
     return checkpoint.restore()
 
 
-def learn(learner: Learner, epoch: int, *after: Callable[[Row], Any]) -> int:
-    """Learn until `total_timesteps`, from after `epoch` on; return the last epoch.
-
-    Each of `after` is called after every epoch with its row of the progress table, and ends the
-    learning when it returns something false but None.
-    """
-    goes_on = True
-    while goes_on and learner.env_steps < learner.total_timesteps:
+def epochs(learner: Learner, epoch: int) -> Iterator[Row]:
+    """Learn until `total_timesteps`, from after `epoch` on; yield each epoch's row of the table."""
+    while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        row = {"epoch": epoch, **_epoch(learner)}
-        answers = [call(row) for call in after]
-        goes_on = all(answer is None or answer for answer in answers)
-    return epoch
+        yield {"epoch": epoch, **_epoch(learner)}
 
 
 def _epoch(learner: Learner) -> Row:

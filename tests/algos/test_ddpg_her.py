@@ -246,8 +246,7 @@ class TestFallsOverTheRun:
         """Short episodes make short cycles: the last epoch has as many as the run has steps for."""
         env = GoalEnv(length=2, terminated=True)
         learner = make(env, anneal_lr=True, n_cycles=50, n_test_rollouts=0)
-        rows = []
-        training.learn(learner, 0, rows.append)
+        rows = [*training.epochs(learner, 0)]
         assert learner.env_steps == rows[-1]["env_steps"] == learner.total_timesteps == 100
         assert rates_of(learner) == pytest.approx([0.04 * 1e-3] * 2)
         assert rows[-1]["updates"] == 25 * learner.config.n_batches
