@@ -30,9 +30,9 @@ FULL = errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG
 
 @contextmanager
 def damage_named(
-    path: Path, found: str = "damaged", missing: str = ""
+    path: Path, problem: str = "damaged", missing: str = ""
 ) -> Iterator[None]:
-    """Turn any error from a file's content into an InputError that names the file and says `found`.
+    """Turn any error from a file's content into an InputError that names the file and the `problem`.
 
     Where there is no file it is a FileNotFoundError, or an InputError that says `missing`.
     """
@@ -49,7 +49,7 @@ def damage_named(
     except Exception as error:  # parsers answer garbage with errors of any kind
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
         raise InputError(
-            f"{path}: {found} ({reason or type(error).__name__})"
+            f"{path}: {problem} ({reason or type(error).__name__})"
         ) from error
 
 

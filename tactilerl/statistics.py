@@ -109,9 +109,9 @@ def bootstrap(scores: Array, counts: Array, trim: float = 0.0) -> Array:
     drawn = np.ascontiguousarray(counts[order[:-1]], np.min_scalar_type(n))
     for run in range(1, n - 1):  # np.cumsum over the first axis takes ten times as long
         drawn[run] += drawn[run - 1]
-    kept = np.clip(drawn, k, n - k, out=drawn) - drawn.dtype.type(k)
+    weights = np.clip(drawn, k, n - k, out=drawn) - drawn.dtype.type(k)
     ordered = scores[order]
-    return np.asarray(ordered[-1] - (np.diff(ordered) / (n - 2 * k)) @ kept)
+    return np.asarray(ordered[-1] - (np.diff(ordered) / (n - 2 * k)) @ weights)
 
 
 def percentile_interval(

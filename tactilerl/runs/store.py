@@ -120,6 +120,7 @@ class RunDir:
     """The folder of one run."""
 
     def __init__(self, path: Path) -> None:
+        """Name the files in the folder at `path`; nothing is read or made yet."""
         self.path = path
         self.config_file = path / "config.json"
         self.table = path / "progress.csv"
@@ -320,6 +321,7 @@ class Checkpoint:
     def __init__(
         self, run_dir: RunDir, config: RunConfig, learner: Learner, comm: Communicator
     ) -> None:
+        """Save the state of `learner`, one rank of `comm`, in a folder; nothing is written yet."""
         self.run_dir, self.config = run_dir, config
         self.learner, self.comm = learner, comm
         self._memory = learner.replay

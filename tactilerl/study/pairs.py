@@ -35,6 +35,7 @@ class Pairs:
     """The p-value of a sign-flip test."""
 
     def __len__(self) -> int:
+        """Return the number of pairs."""
         return len(self.seeds)
 
 

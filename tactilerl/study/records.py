@@ -96,6 +96,7 @@ class StudyFiles:
     """The files of a study: a folder, or a packed file."""
 
     def __init__(self, path: Path) -> None:
+        """Read a packed file at `path`; of a folder nothing is read yet."""
         self.path = path
         is_file = os.path.isfile(path)  # False for any name
         self._packed = _unpacked(path) if is_file else None
