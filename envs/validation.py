@@ -41,7 +41,6 @@ WORDS = {
     NoneType: "None",
 }
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
-LARGEST_FILE = 10_000_000  # bytes
 
 
 # -- names that somebody chose ---------------------------------------------------------------
@@ -90,7 +89,7 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
     Raises ValueError naming the first key that is missing, unknown or of another type.
     """
     types = hints(kind)
-    only(_table(table, where), types, where or "the file")
+    only(require_type(table, dict, where), types, where or "the file")
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         is_needed = field.default is dataclasses.MISSING is field.default_factory
@@ -270,12 +269,10 @@ def _short(value: Any) -> str:
 def read_text(path: Path, what: str) -> str:
     """Return the content of a file, called `what` in errors.
 
-    Raise ValueError where it is too large or no UTF-8, and FileNotFoundError.
+    Raise ValueError where it is no UTF-8, and FileNotFoundError.
     """
     if not os.path.isfile(path):  # Path.is_file raises when a name is too long
         raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"found more than {LARGEST_FILE:,} bytes")
     return path.read_text(encoding="utf-8-sig")
 
 
@@ -314,13 +311,7 @@ def table(
 
     Raise ValueError for something else, and for a key in it that is not allowed.
     """
-    value = _table(data.get(key, {}), key)
+    value = dict(require_type(data.get(key, {}), dict, key))
     if allowed is not None:
         only(value, allowed, key)
-    return value
-
-
-def _table(value: Any, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{where}: found {value!r:.50}, expected a table")
     return value

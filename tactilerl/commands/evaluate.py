@@ -12,7 +12,6 @@ from typing import Any, Literal
 import tyro
 from rich.table import Table
 
-from ..algos import UnfitError
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
 from ..envs import validation
@@ -100,18 +99,14 @@ def main(args: list[str]) -> int:
 
 def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str, Any]]:
     """Play the episodes of an evaluation; return a row for each."""
+    rows, task = [], evaluation.task(policy, command.stochastic)
+    shown = progress("playing", command.episodes, not command.json)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
-    rows = []
-    task = evaluation.task(policy, command.stochastic)
-    shown = progress("playing", command.episodes, not command.json)
-    with closing(workers), shown as tick:
-        try:
+        with closing(workers), shown as tick:
             for episode in workers.play(task, range(command.episodes)):
                 rows.append(evaluation.row(episode))
                 tick()
-        except UnfitError as error:
-            raise InputError(str(error)) from error
     return rows
 
 

@@ -17,7 +17,11 @@ T = TypeVar("T")
 
 
 def parse(
-    kind: type[T], args: Sequence[str], prog: str, about: str, default: Any = None
+    kind: type[T],
+    args: Sequence[str],
+    prog: str,
+    about: str,
+    default: Any = tyro.MISSING_NONPROP,
 ) -> T:
     """Read `args` into a dataclass, whose fields are the flags, or those of its dataclasses.
 
@@ -32,7 +36,7 @@ def parse(
         description=about,
         config=(tyro.conf.OmitArgPrefixes,),
         console_outputs=mpi.launched_rank() in (None, "0"),
-        **({} if default is None else {"default": default}),
+        default=default,
     )
     with input_errors():
         for part in (read, *vars(read).values()):

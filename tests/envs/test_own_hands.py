@@ -10,7 +10,7 @@ import pytest
 import tactilerl
 from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands, layouts, validation
+from tactilerl.envs import hands, layouts
 from tactilerl.runs.store import RunDir
 
 from one_line import fails_with
@@ -118,12 +118,6 @@ class TestHand:
         before = hands.digest(path)
         (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='2'/></mujoco>")
         assert hands.digest(path) != before
-
-    def test_a_file_that_is_too_large_is_refused(self, own, tmp_path):
-        path = Path(own())
-        path.write_text(path.read_text() + "#" * validation.LARGEST_FILE)
-        with pytest.raises(ValueError, match="found more than 10,000,000 bytes"):
-            hands.get(str(path))
 
     def test_a_model_that_breaks_by_itself_is_refused(self, own):
         """A stiff servo on a light link, taken in steps that are too large for it."""
