@@ -254,11 +254,9 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
-    if out is not None:
-        flags["out"] = str(out)
-    if algo is not None:
-        flags["algo"] = algo
     base = resolve(algo, env or "", recipe, scene, resume)
+    named = {"env": env, "algo": algo, "out": out and str(out)}
+    flags |= {name: value for name, value in named.items() if value is not None}
     return training.train(base.choose(flags), mpi.world())
 
 

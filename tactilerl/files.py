@@ -112,10 +112,6 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         with writable(path):
             os.replace(temporary, path)
-        if os.name == "posix":  # so that the name survives a power cut
-            folder = os.open(path.parent, os.O_RDONLY)
-            os.fsync(folder)
-            os.close(folder)
     finally:
         temporary.unlink(missing_ok=True)
 

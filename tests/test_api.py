@@ -230,6 +230,8 @@ class TestTrain:
             for folder in (run, "other")
         )
         assert all(map(torch.equal, one.values(), other.values()))
+        with pytest.raises(ValueError, match="env: found 'point-reach', the run was made with 'lqr'"):
+            tactilerl.train("point-reach", resume=run)
         assert tactilerl.train(resume=run, total_timesteps=121) == run
         assert len(Path("run/progress.csv").read_text().splitlines()) == 3
 

@@ -268,8 +268,6 @@ def write(analysis: Analysis, folder: Path) -> Path:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tactilerl.study", "."),
         autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["base64"] = lambda data: b64encode(data).decode()
