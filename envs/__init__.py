@@ -103,7 +103,7 @@ def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     are. Raise ValueError where the task needs more steps.
     """
     base: Any = env.unwrapped
-    if not isinstance(env, gym.wrappers.TimeLimit) or base.spec is None:
+    if not isinstance(env, gym.wrappers.TimeLimit):
         return env
     steps = env._max_episode_steps
     base.config = validation.replace(base.config, {"max_episode_steps": steps})

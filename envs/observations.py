@@ -183,8 +183,8 @@ class FalseReadings(Stage):
     def __call__(self, reading: Array) -> Array:
         """Return the reading with some bits flipped."""
         draws = self._rng.random(reading.shape)
-        off = draws < self.false_on
-        return np.where(reading > 0, np.where(draws < self.false_off, 0, reading), off)
+        of_on = np.where(draws < self.false_off, 0, reading)
+        return np.where(reading > 0, of_on, draws < self.false_on)
 
 
 class Broken(Stage):

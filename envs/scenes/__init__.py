@@ -14,7 +14,7 @@ from typing import Any
 
 from .. import hands, validation
 from ..objects import scaled
-from ..validation import nearest, require_one_of
+from ..validation import require_one_of
 
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
@@ -63,12 +63,10 @@ def load(name: str) -> NamedScene:
 
     Raise ValueError naming what is wrong, and FileNotFoundError.
     """
-    if not name.endswith(SUFFIX) and name not in names():
-        raise ValueError(
-            f"scene: found {name!r}, {nearest(name, names())}allowed: {', '.join(names())}, or the "
-            "path of a .toml file"
-        )
-    path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
+    path = Path(name)
+    if path.suffix != SUFFIX:
+        require_one_of([*names(), f"NAME{SUFFIX}"], name, "scene")
+        path = FOLDER / f"{name}{SUFFIX}"
     data = validation.read(path, "scene file")
     with validation.blamed(f"scene file {path}"):
         base = NamedScene()

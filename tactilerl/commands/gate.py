@@ -1,15 +1,14 @@
-"""`tactilerl gate`: what can be won by touch in a scene, before any training?"""
+"""Run `tactilerl gate`, which says what can be won by touch in a scene, before any training."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from functools import partial
 from typing import Annotated, Any
 
 from rich.table import Table
 
-from ..envs import validation
+from ..envs import tasks, validation
 from ..envs.grasp import GraspConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
@@ -29,6 +28,9 @@ examples:
   tactilerl gate --scene handover --starts 50 --search 5
   tactilerl gate --scene handover_anywhere --layout 1 3 my_layout.toml
   tactilerl gate --scene handover --taxel-threshold 0 0.1 0.3"""
+
+
+Row = tuple[GraspConfig, gate.HandResult]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,9 +61,9 @@ def main(args: list[str]) -> int:
     with input_errors():
         if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate compares with no touch")
-        forces: list[float | None] = [*map(float, thresholds)] or [
-            scene.taxel_threshold
-        ]
+        forces: list[float | None] = [scene.taxel_threshold]
+        if thresholds:
+            forces = [float(text) for text in thresholds]
         variants = [
             dataclasses.replace(scene, layout=layout, taxel_threshold=force)
             for layout in layout_names or [scene.layout]
@@ -70,20 +72,22 @@ def main(args: list[str]) -> int:
         for variant in variants:
             validation.validate(variant)
             layout_notes(read.env, variant.layout)  # raises what is wrong with it
-        if scene.task != "handover":
+        if tasks.TASKS[scene.task].giver is None:
             require_grasp(read.env, scene)
     n_senses = len(gate.useful_senses(scene)) + len(variants) - 1
     total = n_senses * gate.n_played(read.starts, read.search)
     what = f"playing scripted hands, {total} episodes"
     with progress(what, total, is_shown=not read.json) as tick, input_errors():
-        examine = partial(
-            gate.examine, read.env, starts=read.starts, search=read.search, seed=read.seed,
-            workers=read.workers or free_cores(), tick=tick,
-        )  # fmt: skip
-        results = examine(variants[0])
-        touch = [result for result in results if result.name == "touch"]
-        touch += [examine(variant, senses=["touch"])[0] for variant in variants[1:]]
-    with_touch = list(zip(variants, touch, strict=True))
+        rows: list[Row] = []
+        for variant in variants:
+            senses = ["touch"] if rows else list(gate.SENSES)
+            results = gate.examine(
+                read.env, variant, read.starts, read.search, read.seed,
+                read.workers or free_cores(), tick, senses,
+            )  # fmt: skip
+            rows += [(variant, result) for result in results]
+    results = [result for variant, result in rows if variant is variants[0]]
+    with_touch = [row for row in rows if row[1].name == "touch"]
     sentences = [gate.verdict(results)]
     if thresholds:
         blind = gate.without_touch(results).rate
@@ -110,26 +114,21 @@ def main(args: list[str]) -> int:
         }
         print(json.dumps(content))
         return 0
-    table = Table("scripted hand", "switches when", "success", "95 % interval")
-    for result in results:
-        rows = [(result.name, result)]
-        if result.name == "touch":
-            rows = [
-                (_name(variant, layout_names, thresholds), hand)
-                for variant, hand in with_touch
-            ]
-        for name, hand in rows:
-            low, high = hand.interval
-            when = gate.SENSES[hand.name][1]
-            table.add_row(name, when, f"{hand.rate:.2f}", f"{low:.2f} – {high:.2f}")
-    console.print(table)
+    console.print(_table(rows, layout_names, thresholds))
     for sentence in sentences:
         console.print(sentence)
     return 0
 
 
-def _name(scene: GraspConfig, layout_names: list[str], thresholds: list[str]) -> str:
-    """Return the name in the table of a hand with touch."""
-    layout = f", layout {scene.layout}" if len(layout_names) > 1 else ""
-    threshold = f", {scene.taxel_threshold:g} N" if len(thresholds) > 1 else ""
-    return f"touch{layout}{threshold}"
+def _table(rows: list[Row], layout_names: list[str], thresholds: list[str]) -> Table:
+    """Return a line for each scripted hand, in the order of their senses."""
+    table = Table("scripted hand", "switches when", "success", "95 % interval")
+    rows.sort(key=lambda row: list(gate.SENSES).index(row[1].name))
+    for variant, result in rows:
+        name, (low, high) = result.name, result.interval
+        if name == "touch":
+            name += f", layout {variant.layout}" if len(layout_names) > 1 else ""
+            name += f", {variant.taxel_threshold:g} N" if len(thresholds) > 1 else ""
+        when = gate.SENSES[result.name][1]
+        table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
+    return table

@@ -20,7 +20,7 @@ GRASPS, SECONDS = 20, 3.0
 
 @dataclass(frozen=True)
 class TaxelCheck:
-    """Which taxels of a scene fired, and how often, in the grasps that held."""
+    """Taxels of a scene that fired, and how often, in the grasps that held."""
 
     grasps: int
     """Number of grasps that were played."""
