@@ -211,11 +211,10 @@ class Layout:
                 point = point._replace(position=position, normal=normal)
                 placed.append((point, index, (*offset, 0.0)))
         taxels = hand.sensors if self.is_model else self.taxels
-        points = [_of_link(point, hand) for point in taxels]
+        placed += [_on_surface(point, hand) for point in taxels]
         if not self.is_model:
             with validation.blamed(f"layout {self.name!r}"):
-                require_distinct([*(point for point, *_ in placed), *points])
-        placed += [_on_surface(point, hand) for point in points]
+                require_distinct([point for point, *_ in placed])
         if not placed:
             found = f"layout {self.name!r} puts no taxel"
             raise ValueError(f"{found} on the {hand.name} hand")
@@ -269,20 +268,18 @@ class Layout:
                 require_one_of(segments, segment, where)
 
 
-def _of_link(point: Point, hand: Hand) -> Point:
-    """Return the point on the link that its body is part of."""
-    frame = hand.welded.get(point.link)
-    if frame is None:
-        return point
-    normal = point.normal and frame.direction(point.normal)
-    place = frame.point(point.position)
-    return point._replace(link=frame.link, position=place, normal=normal)
-
-
 def _on_surface(
     point: Point, hand: Hand
 ) -> tuple[Point, int, tuple[float, float, float]]:
-    """Return the point with a normal, which of the hand's surfaces it is on, and where."""
+    """Return the point with a normal, which of the hand's surfaces it is on, and where.
+
+    Points of a body that is part of a link are on that link.
+    """
+    frame = hand.welded.get(point.link)
+    if frame is not None:
+        normal = point.normal and frame.direction(point.normal)
+        place = frame.point(point.position)
+        point = point._replace(link=frame.link, position=place, normal=normal)
     position, surfaces = np.array(point.position), hand.surfaces
     on_link = [i for i, surface in enumerate(surfaces) if surface.link == point.link]
     if not on_link:
@@ -291,8 +288,8 @@ def _on_surface(
         raise ValueError(f"{found}, allowed: {links}")
     index = min(on_link, key=lambda i: np.linalg.norm(position - surfaces[i].centre))
     if not point.normal:
-        normal = surfaces[index].skin(position)[1]
-        point = point._replace(normal=tuple(normal.tolist()))
+        outward = surfaces[index].skin(position)[1]
+        point = point._replace(normal=tuple(outward.tolist()))
     row, column, height = surfaces[index].offset(position)
     if abs(height) <= LEAST:
         height = LEAST  # 0 is of grids

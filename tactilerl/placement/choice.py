@@ -170,15 +170,12 @@ def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[By
     first += 2 * gate.SEARCH * flags.seed
     played: list[ByWait] = [{} for _ in flags.thresholds]
     for wait in flags.waits:
-        parts = [
-            record(
-                pool.env, waiting(scene, wait), pool.skin, range(first, first + n), workers,
-                tick, flags.thresholds,
-            )
-            for scene in pool.scenes.values()
-        ]  # fmt: skip
-        for by_wait, of_scenes in zip(played, zip(*parts, strict=True), strict=True):
-            by_wait[wait] = Starts.joined(of_scenes)
+        scenes = [waiting(scene, wait) for scene in pool.scenes.values()]
+        recordings = record(
+            pool.env, scenes, pool.skin, range(first, first + n), workers, tick, flags.thresholds
+        )  # fmt: skip
+        for by_wait, starts in zip(played, recordings, strict=True):
+            by_wait[wait] = starts
     return played
 
 
@@ -217,16 +214,11 @@ def _judged(
 def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
     """Choose the best `n` taxels of all ways to wait, with the bound of all."""
     losses = pool.losses.members[:, pool.columns] if pool.flags.survives else None
-    sets = [
-        cover.choose(
-            starts.take(pool.columns),
-            n + pool.n_existing,
-            range(pool.n_existing),
-            pool.overlap,
-            losses,
-        )
-        for starts in choice.values()
-    ]
+    sets = []
+    for starts in choice.values():
+        starts = replace(starts, fires=starts.fires[:, pool.columns])
+        n_all, existing = n + pool.n_existing, range(pool.n_existing)
+        sets.append(cover.choose(starts, n_all, existing, pool.overlap, losses))
     best = max(sets, key=lambda chosen: (chosen.worst, chosen.value))
     return best._replace(bound=max(chosen.bound for chosen in sets))
 

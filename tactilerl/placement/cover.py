@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -46,16 +46,6 @@ class Starts:
     def __len__(self) -> int:
         """Return how many starts these are."""
         return len(self.fires)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Starts]) -> Starts:
-        """Return the starts of all parts, in their order."""
-        arrays = zip(*(vars(part).values() for part in parts), strict=True)
-        return cls(*map(np.concatenate, arrays))
-
-    def take(self, taxels: Sequence[int]) -> Starts:
-        """Return the same starts with some taxels alone."""
-        return replace(self, fires=self.fires[:, list(taxels)])
 
     @property
     def good(self) -> Array:

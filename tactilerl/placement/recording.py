@@ -55,33 +55,34 @@ class SkinnedEnv(GraspEnv):
 
 def record(
     hand: str,
-    scene: GraspConfig,
+    scenes: Sequence[GraspConfig],
     taxels: Taxels,
     numbers: Sequence[int],
     workers: int,
     tick: Callable[[], None] = lambda: None,
     thresholds: Sequence[float | None] = (None,),
 ) -> list[Starts]:
-    """Play the starts that the seeds `numbers` draw in a scene; return them for each threshold in N.
+    """Play the starts that the seeds `numbers` draw in each scene; return all for each threshold in N.
 
     None stands for the scene's threshold, or each taxel's own. `tick` is called after every start.
     """
     blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
-    forces = np.tile(taxels.thresholds, (len(thresholds), 1))
-    for row, threshold in zip(forces, thresholds, strict=True):
-        force = scene.taxel_threshold if threshold is None else threshold
-        if force is not None:
-            row[:] = force
-    make = partial(SkinnedEnv, hand, replace(scene, **blind), taxels, forces)
-    play = partial(_play, delay=scene.taxel_delay, n_thresholds=len(forces))
     rows: list[Any] = []
-    with closing(vector.start(make, workers)) as played_in:
-        for row in played_in.play(play, numbers):
-            rows.append(row)
-            tick()
+    for scene in scenes:
+        forces = np.tile(taxels.thresholds, (len(thresholds), 1))
+        for row, threshold in zip(forces, thresholds, strict=True):
+            force = scene.taxel_threshold if threshold is None else threshold
+            if force is not None:
+                row[:] = force
+        make = partial(SkinnedEnv, hand, replace(scene, **blind), taxels, forces)
+        play = partial(_play, delay=scene.taxel_delay, n_thresholds=len(forces))
+        with closing(vector.start(make, workers)) as played_in:
+            for played in played_in.play(play, numbers):
+                rows.append(played)
+                tick()
     fires, succeeds, sets_off, lets_go = map(np.array, zip(*rows, strict=True))
     return [
-        Starts(fires[:, i], succeeds, sets_off, lets_go) for i in range(len(forces))
+        Starts(fires[:, i], succeeds, sets_off, lets_go) for i in range(len(thresholds))
     ]
 
 

@@ -222,7 +222,7 @@ class TestPrediction:
         layout = layouts.load("5")
         taxels = layout.place(hands.get("mpl"))
         skin, [columns] = joined([taxels])
-        (starts,) = record("mpl", config, skin, range(6), 1)
+        (starts,) = record("mpl", [config], skin, range(6), 1)
         expected = cover.successes(starts, columns)
         env = GraspEnv("mpl", dataclasses.replace(config, layout="5"))
         played = [Reflex("touch", 1, 1.0).play(env, number) for number in range(6)]
