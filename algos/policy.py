@@ -148,9 +148,9 @@ def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
                 f"observation space: found {part}, allowed Box, or {GOAL_DICT}{hint}"
             )
         if part.dtype == np.uint8 and len(part.shape) == 3:
-            found = f"found images {part.shape}"
+            images = f"found images {part.shape}"
             raise ValueError(
-                f"observation space: {found}, allowed vectors; no learner here sees"
+                f"observation space: {images}, allowed vectors; no learner here sees"
             )
     return parts
 
@@ -275,8 +275,8 @@ class Policy:
                 values.dtype.kind not in "bifu"
                 or not (np.abs(values) < FLOAT32_MAX).all()
             ):
-                found = f"not finite, not real or beyond float32 ({values.dtype})"
-                raise ValueError(f"obs: {found}, allowed finite numbers")
+                fault = f"not finite, not real or beyond float32 ({values.dtype})"
+                raise ValueError(f"obs: {fault}, allowed finite numbers")
         if n == 0:
             return self.to_env(np.empty((0, self._low.size), np.float32))
         views = map(self.inputs.read, [obs] if n is None else _rows(obs, n))
@@ -314,13 +314,13 @@ class Policy:
 
     def require_spaces(self, spaces: Spaces) -> None:
         """Raise ValueError unless observations and actions have the shapes that the policy knows."""
-        for name, found, known in (
+        for name, offered, known in (
             ("observations", _shown(_read(spaces.shapes)), _shown(self.shapes)),
             ("actions", str(spaces.action.shape), str(self._low.shape)),
         ):
-            if found != known:
+            if offered != known:
                 raise ValueError(
-                    f"env: found {name} of shape {found}, the policy has {known}"
+                    f"env: found {name} of shape {offered}, the policy has {known}"
                 )
         bounds = action_bounds(spaces.action)
         if not (
@@ -328,10 +328,10 @@ class Policy:
             and np.array_equal(bounds[1], self._high)
         ):
             both = bounds, (self._low, self._high)
-            found, known = (
+            offered, known = (
                 f"from {low.min():g} to {high.max():g}" for low, high in both
             )
-            raise ValueError(f"env: found actions {found}, the policy's are {known}")
+            raise ValueError(f"env: found actions {offered}, the policy's are {known}")
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], noise: Noise | None) -> Array:
@@ -355,16 +355,16 @@ class Policy:
                 "an array" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
             )
             raise ValueError(f"obs: found {got}, expected {expected}")
-        found = {key: np.shape(obs[key] if key else obs) for key in self.shapes}
-        if found == self.shapes:
+        shapes = {key: np.shape(obs[key] if key else obs) for key in self.shapes}
+        if shapes == self.shapes:
             return None
-        sizes = {shape[:1] for shape in found.values()}
-        if {key: shape[1:] for key, shape in found.items()} == self.shapes and len(
+        sizes = {shape[:1] for shape in shapes.values()}
+        if {key: shape[1:] for key, shape in shapes.items()} == self.shapes and len(
             sizes
         ) == 1:
             return sizes.pop()[0]
         raise ValueError(
-            f"obs: found shape {_shown(found)}, expected {_shown(self.shapes)}, or a batch of such"
+            f"obs: found shape {_shown(shapes)}, expected {_shown(self.shapes)}, or a batch of such"
         )
 
 
