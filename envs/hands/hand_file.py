@@ -144,13 +144,14 @@ def _reach(parts: Parts) -> float:
 def _hung(parts: Parts) -> tuple[Mount, Array]:
     """Return the model's mount, and where a point of the palm hangs at the start, m."""
     place = parts.file.place
-    of = np.array(parts.palm_point)
-    if place.of is not None:
-        of = np.array(parts.palm_frame.point(place.of))
+    of = parts.palm_point if place.of is None else parts.palm_frame.point(place.of)
     data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     turn = mount.turned(root.T @ palm, parts.palmar, parts.fingers)
-    steps = root.T @ (data.xpos[parts.palm] - data.xpos[1]), root.T @ palm @ of
+    steps = (
+        root.T @ (data.xpos[parts.palm] - data.xpos[1]),
+        root.T @ palm @ np.array(of),
+    )
     unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
     hanging = replace(
         parts.mount,

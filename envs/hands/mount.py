@@ -1,6 +1,6 @@
-"""Build the hand of a scene from its model: palm down on three slides, driven by position servos.
+"""Build the hand of a scene from its model's file: palm down on three slides.
 
-Servos are the model's own, in the units of the joints they drive, or the library's.
+Position servos drive it: the model's own, in the units of their joints, or the library's.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class Mount:
             slide = root.add_joint(
                 model_file.PLAIN.default, name=name, type=LINEAR, axis=axis
             )
-            slide.damping = [self.slides.damping, 0, 0]
+            slide.damping[0] = self.slides.damping
             add_servo(spec, name, self.slides.gain, self.slides.force)
         carrying = chain(spec.body(self.palm))
         for actuator in spec.actuators:
@@ -267,9 +267,9 @@ class Mount:
             if coupling.joint not in tied:
                 equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT)
                 equality.name1, equality.name2 = coupling.joint, coupling.driver
-                law = np.zeros(len(equality.data))
-                law[:2] = coupling.offset - _rest(spec, *coupling[:3]), coupling.ratio
-                equality.data = law
+                equality.data[:] = 0.0
+                equality.data[0] = coupling.offset - _rest(spec, *coupling[:3])
+                equality.data[1] = coupling.ratio
         for coupling in followed(spec):
             joint = spec.joint(coupling.joint)
             damp(joint, self._servo(joint))
@@ -300,10 +300,8 @@ class Mount:
                     and actuator.ctrlrange[0] == actuator.ctrlrange[1]
                 ):
                     end = UNRANGED[joint.type] / _unit(joint)
-                    joint.range, joint.limited = (
-                        [-end, end],
-                        mujoco.mjtLimited.mjLIMITED_TRUE,
-                    )
+                    joint.range = [-end, end]
+                    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
     def _servo(self, joint: mujoco.MjsJoint) -> HingeServo:
         return self.servos.slide if joint.type == LINEAR else self.servos.hinge
@@ -350,8 +348,6 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
                 spec.delete(joint)
             whole.worldbody.add_frame().attach_body(chosen, "", "")
     whole.modelfiledir, whole.meshdir = spec.modelfiledir, spec.meshdir
-    whole.texturedir = spec.texturedir
-    whole.compiler.fusestatic = False
     whole.compiler.balanceinertia = spec.compiler.balanceinertia
     return whole
 

@@ -254,14 +254,13 @@ class MujocoSimulator(Simulator):
         # The object is the last body, and its free joint the last joint.
         self._object_qpos, self._object_qvel = slice(model.nq - 7, None), model.nv - 6
         self._object_body, self._object_geom = model.nbody - 1, model.geom(OBJECT).id
-        self._giver: Array | None = None
-        if scene.giver is not None:
-            actuators = [model.actuator(f"{GIVER}{axis}") for axis in range(3)]
-            self._giver = np.array([actuator.id for actuator in actuators])
+        springs = [f"{GIVER}{axis}" for axis in range(3 if scene.giver else 0)]
+        self._giver = np.array([model.actuator(name).id for name in springs], int)
         # The world is the first: links are what is between.
         self._bodies = slice(1, self._object_body)
-        names = [model.body(body).name for body in range(model.nbody)]
-        self._links = tuple(names[self._bodies])
+        self._links = tuple(
+            model.body(body).name for body in range(1, self._object_body)
+        )
         self._link_of_geom = (model.geom_bodyid - 1).tolist()
 
     @property
@@ -347,8 +346,7 @@ class MujocoSimulator(Simulator):
 
     def let_go(self) -> None:
         """Carry the object no longer."""
-        if self._giver is not None:
-            self.model.opt.disableactuator |= 1 << GIVERS_GROUP
+        self.model.opt.disableactuator |= 1 << GIVERS_GROUP
         self.data.xfrc_applied[self._object_body] = 0.0
 
     def set_creep(self, factor: float) -> None:

@@ -144,46 +144,37 @@ def _hull(model: mujoco.MjModel, mesh: int) -> str:
 def _joints(model: mujoco.MjModel, body: int) -> list[str]:
     """Return the joints between a body and its parent, with massless links between them."""
     name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
-    first, pose = model.body_jntadr[body], (model.body_pos[body], model.body_quat[body])
-    indices = range(first, first + model.body_jntnum[body])
-    if not indices:
-        joint = _joint(f"{name} fixed", "fixed", parent, name, pose, _UNMOVED[0])
-        return [joint]
-    parts = []
-    for number, index in enumerate(indices):
-        about = model.joint(index)
-        kind, axis = _JOINTS.get(int(about.type[0])), about.axis
-        if kind is None or np.any(about.pos) or about.qpos0[0]:
-            what = f"joint {about.name!r}, whose anchor is not its body's origin or which has a ref"
-            raise _unknown(what, "hinges and slides at the origin, without ref")
-        child = name
-        if index != indices[-1]:
-            child = f"{name} {number}"
+    first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    pose, parts = (model.body_pos[body], model.body_quat[body]), []
+    for number in range(max(n, 1)):
+        label, kind, axis, limits = f"{name} fixed", "fixed", _UNMOVED[0], _UNLIMITED
+        child = name if number >= n - 1 else f"{name} {number}"
+        if n > 0:
+            joint = model.joint(first + number)
+            label, kind, axis = (
+                joint.name,
+                _JOINTS.get(int(joint.type[0]), ""),
+                joint.axis,
+            )
+            if not kind or np.any(joint.pos) or joint.qpos0[0]:
+                what = f"joint {label!r}, whose anchor is not its body's origin or which has a ref"
+                raise _unknown(what, "hinges and slides at the origin, without ref")
+            if joint.limited[0]:
+                limits = joint.range.tolist()
+        if child != name:
             parts.append(_massless(child))
-        limits = about.range.tolist() if about.limited[0] else _UNLIMITED
-        parts.append(_joint(about.name, kind, parent, child, pose, axis, limits))
+        text = JOINT.format(
+            name=quoteattr(label),
+            kind=kind,
+            parent=quoteattr(parent),
+            child=quoteattr(child),
+            origin=_origin(*pose),
+            axis=_text(axis),
+            limits=limits,
+        )
+        parts.append(text)
         parent, pose = child, _UNMOVED
     return parts
-
-
-def _joint(
-    name: str,
-    kind: str,
-    parent: str,
-    child: str,
-    pose: tuple[Array, Array],
-    axis: Array,
-    limits: list[float] = _UNLIMITED,
-) -> str:
-    return JOINT.format(
-        name=quoteattr(name),
-        kind=kind,
-        parent=quoteattr(parent),
-        child=quoteattr(child),
-        origin=_origin(*pose),
-        axis=_text(axis),
-        limits=limits,
-    )
 
 
 def _origin(position: Array, quaternion: Array) -> str:
