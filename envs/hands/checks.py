@@ -9,12 +9,12 @@ import numpy as np
 
 from . import model_file, mount
 from .geometry import gap, placed, posed
-from .hand import SLIDES, Hand
+from .hand import Hand
 from .parts import Parts
 
 Timestep = Annotated[float, "[1e-05, 1.0]"]
 NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2
-"""rad, s, rad: of a hand that should hang still."""
+"""rad or m, s, rad or m: of a hand that should hang still, its joints moved a little."""
 CLOSING = 1.0  # s; a scripted grasp takes that long
 PRESS, REACHED = 0.3, 0.7
 """N at each fingertip, and the share of its way that a servo goes against it."""
@@ -47,15 +47,11 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     return _weak(hand, model) if has_own_servos else ()
 
 
-def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjData:
-    """Return the hand at its start, the fingers' joints moved by `nudge`, rad or m."""
+def _begun(hand: Hand, model: mujoco.MjModel) -> mujoco.MjData:
+    """Return the hand at its start."""
     data = mujoco.MjData(model)
     for joint, position in zip(hand.joints, hand.start_positions(), strict=True):
-        about = model.joint(joint)
-        moved = position if joint in SLIDES else position + nudge
-        data.joint(joint).qpos = (
-            np.clip(moved, *about.range) if about.limited else moved
-        )
+        data.joint(joint).qpos = position
     actuators = [int(model.actuator(name).id) for name in hand.actuators]
     mount.hold(model, data, actuators, hand.start_targets())
     return data
@@ -64,9 +60,10 @@ def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjDa
 def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
     """Raise ValueError for a model that does not hang still where it starts.
 
-    Its joints are a little moved before.
+    Its joints are moved a little before.
     """
-    data = _begun(hand, model, NUDGE)
+    data = _begun(hand, model)
+    data.qpos += NUDGE
     held = [*hand.actuated, *(coupling.joint for coupling in hand.couplings)]
     places = [int(model.joint(joint).qposadr[0]) for joint in held]
     before = data.qpos[places]
