@@ -252,9 +252,8 @@ def _groups(parts: Parts) -> dict[str, Names]:
     """
     groups = parts.file.actions.groups or tuple((digit,) for digit in parts.digits)
     require_distinct(tuple(itertools.chain(*groups)), "actions.groups")
-    found: dict[str, Names] = {}
+    actuators: dict[str, Names] = {}
     for group in groups:
-        require_distinct(group, "actions.groups")
         for digit in group:
             require_one_of(parts.digits, digit, "actions.groups")
         joints = [joint for digit in group for joint in parts.closing_of(digit)]
@@ -263,9 +262,9 @@ def _groups(parts: Parts) -> dict[str, Names]:
                 f"digits.{group[0]}: found none of its joints that [opened] and [closed] move"
             )
         if joints:
-            members = tuple(parts.driven[joint] for joint in joints)
-            found["closing of " + " and ".join(group)] = members
-    return found
+            label = "closing of " + " and ".join(group)
+            actuators[label] = tuple(parts.driven[joint] for joint in joints)
+    return actuators
 
 
 def _joint_action(

@@ -233,18 +233,11 @@ def _mesh(name: str, *folders: Path) -> Path | None:
 
     It is beside the URDF, under its meshdir, or in a package that a folder above it belongs to.
     """
-    first = folders[0].absolute()
+    names = [name.removeprefix("file://"), Path(name).name]
     if name.startswith(PACKAGE):
         package, _, inside = name.removeprefix(PACKAGE).partition("/")
-        above = [first, *first.parents]
-        places = [
-            place
-            for each in above
-            for place in (each / package / inside, each / inside)
-        ]
-    else:
-        name = name.removeprefix("file://")
-        places = [
-            place for each in folders for place in (each / name, each / Path(name).name)
-        ]
+        names = [f"{package}/{inside}", inside]
+        first = folders[0].absolute()
+        folders = (first, *first.parents)
+    places = [folder / name for folder in folders for name in names]
     return next((place for place in places if place.is_file()), None)

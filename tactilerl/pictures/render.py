@@ -99,8 +99,9 @@ def staged(
 
     config, policy, *_ = policies.read_run(run)
     if config.scene is None:
-        found = f"a run on {config.run.env!r}"
-        raise InputError(f"{run}: found {found}, allowed runs of grasping scenes")
+        raise InputError(
+            f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
+        )
     scene = replace(config.scene, hold_seconds=hold_seconds)
     env: GraspEnv = replace(config, scene=scene).make_env(render_mode=render_mode)
     task = evaluation.task(policy)
