@@ -250,7 +250,7 @@ class TestBadInput:
             (["render", "none", "--pose", "start"], ["pose: allowed only without a run folder"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
             (["env", "--env", "lqr", "--check"], ["--check: found lqr, allowed the environments"]),
-            (["train", "--env", "../x:Id"], ["env: found '../x:Id'"]),
+            (["train", "--env", "../x:Id"], ["found '../x', which cannot be imported"]),
             ([*TOY, "--seed", "9" * 5000], ["seed"]),
             ([*TOY, "--out", "x" * 5000], ["name too long"]),
             (["train", "--out", "a\0b"], ["allowed no character 0"]),
