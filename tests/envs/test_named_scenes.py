@@ -65,7 +65,6 @@ class TestOwnFile:
             ("[scene]\ncolour = 3", "colour"),
             ("[scene]\nlayout = 99", "layout"),
             ("[train]\ncolour = 3", "colour"),
-            ('base = "handover"\n[train]\nout = "x"', "out"),
             ("[scene]\nhistory = 2.5", "history: found 2.5"),
             ('[train]\nalgo = "magic"', "magic"),
         ],
