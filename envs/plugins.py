@@ -10,9 +10,11 @@ import sys
 import traceback
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from typing import Any, ClassVar, get_origin, get_type_hints
+from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
+
+from .validation import require_type
 
 imported: list[str] = []
 """Modules that this process was asked to import; those that it starts import them too."""
@@ -44,7 +46,8 @@ def require_class(
 ) -> Any:
     """Return the class that a field names.
 
-    Raises ValueError where it is not known, no subclass of `base`, or lacks members of it.
+    Raises ValueError where it is not known, no subclass of `base`, lacks members of it, or has
+    constants of another type.
     """
     if name not in known:
         allowed = f"{', '.join(known)}, or what a module adds (--import MODULE)"
@@ -54,10 +57,12 @@ def require_class(
     if not (isinstance(kind, type) and issubclass(kind, base)):
         raise ValueError(f"{where}: found no subclass of {base.__name__}")
     hints = get_type_hints(base, include_extras=True)
-    constants = [name for name, hint in hints.items() if get_origin(hint) is ClassVar]
+    constants = {n: hint for n, hint in hints.items() if get_origin(hint) is ClassVar}
     absent = {member for member in constants if not hasattr(kind, member)}
     if missing := sorted(absent | getattr(kind, "__abstractmethods__", frozenset())):
         raise ValueError(f"{where} lacks {', '.join(missing)}")
+    for member, hint in constants.items():
+        require_type(getattr(kind, member), get_args(hint)[0], f"{where}: {member}")
     return kind
 
 
