@@ -97,7 +97,7 @@ def _print(result: Design) -> None:
     flags_given, names = pool.flags, ", ".join(pool.scenes)
     console.print(f"{names}: taxels for a hand that closes at the first touch")
     console.print(
-        f"{len(pool.columns) - pool.n_existing} candidates; chosen from {flags_given.starts} starts of "
+        f"{len(pool.free)} candidates; chosen from {flags_given.starts} starts of "
         f"each scene, judged on {flags_given.test_starts} others"
     )
     if flags_given.keep:

@@ -318,9 +318,10 @@ class Pool:
     hand: Hand
     skin: Taxels
     """All taxels that anything is asked of."""
-    columns: list[int]
-    """Indices in the skin of the taxels that the hand has already, then of those that may be chosen."""
-    n_existing: int
+    existing: list[int]
+    """Columns (indices in the skin) of the taxels that the hand has already."""
+    free: list[int]
+    """Columns of those that may be chosen."""
     references: dict[str, list[int]]
     """Columns of the layouts to compare with, by name."""
     losses: Losses
@@ -337,31 +338,34 @@ class Pool:
         hand = hands.get(env)
         free = candidates(flags, hand)
         sets = [layouts.load(name).place(hand) for name in flags.beside]
-        existing = [layouts.load(flags.keep).place(hand)] if flags.keep else []
-        skin, columns = joined([*existing, free, *sets])
-        existing_columns = columns.pop(0) if flags.keep else []
+        kept = [layouts.load(flags.keep).place(hand)] if flags.keep else []
+        skin, columns = joined([*kept, free, *sets])
+        existing = columns.pop(0) if kept else []
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
-        taken = {spots[column] for column in existing_columns}
-        free_columns = [c for c in columns[0] if spots[c] not in taken]
+        taken = {spots[column] for column in existing}
         return cls(
             flags=flags,
             env=env,
             scenes=configs,
             hand=hand,
             skin=skin,
-            columns=[*existing_columns, *free_columns],
-            n_existing=len(existing_columns),
+            existing=existing,
+            free=[column for column in columns[0] if spots[column] not in taken],
             references=dict(zip(flags.beside, columns[1:], strict=True)),
             losses=losses_of(flags.survives or "taxel", hand, skin),
         )
 
     def __post_init__(self) -> None:
         """Raise ValueError where too few taxels may be chosen."""
-        n_free = len(self.columns) - self.n_existing
-        if (most := self.flags.numbers[-1]) > n_free:
-            allowed = f"up to the {n_free} that may be chosen"
+        if (most := self.flags.numbers[-1]) > len(self.free):
+            allowed = f"up to the {len(self.free)} that may be chosen"
             raise ValueError(f"taxels: found {most}, allowed {allowed}")
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of the taxels that the hand has already, then of those that may be chosen."""
+        return [*self.existing, *self.free]
 
     @cached_property
     def overlap(self) -> Array | None:
@@ -375,12 +379,10 @@ class Pool:
 
     def without(self, early: Array) -> Pool:
         """Leave out candidates that are `early`, bool (m,) of the skin's taxels."""
-        existing, free = (
-            self.columns[: self.n_existing],
-            self.columns[self.n_existing :],
-        )
         return replace(
             self,
-            columns=existing + [column for column in free if not early[column]],
-            early=tuple(self.skin.names[column] for column in free if early[column]),
+            free=[column for column in self.free if not early[column]],
+            early=tuple(
+                self.skin.names[column] for column in self.free if early[column]
+            ),
         )

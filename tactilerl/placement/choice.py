@@ -105,7 +105,7 @@ class Design:
             "env": pool.env,
             "simulator": next(iter(pool.scenes.values())).simulator,
             "asking": {name: getattr(pool.flags, name) for name in sorted(names)},
-            "candidates": len(pool.columns) - pool.n_existing,
+            "candidates": len(pool.free),
             "early": pool.early,
             "beside": self.best,
             "rows": [asdict(row) for row in self.rows],
@@ -217,7 +217,7 @@ def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
     sets = []
     for starts in choice.values():
         starts = replace(starts, fires=starts.fires[:, pool.columns])
-        n_all, existing = n + pool.n_existing, range(pool.n_existing)
+        n_all, existing = n + len(pool.existing), range(len(pool.existing))
         sets.append(cover.choose(starts, n_all, existing, pool.overlap, losses))
     best = max(sets, key=lambda chosen: (chosen.worst, chosen.value))
     return best._replace(bound=max(chosen.bound for chosen in sets))
@@ -289,11 +289,11 @@ def _interval(rate: float, n: int) -> tuple[float, float]:
 
 def drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
     """Draw columns: those that the hand has, and `n` random ones that do not overlap."""
-    existing, free = pool.columns[: pool.n_existing], pool.columns[pool.n_existing :]
     if pool.overlap is None:
-        return existing + rng.choice(free, n, replace=False).tolist()
-    taxels = list(range(pool.n_existing))
-    for taxel in pool.n_existing + rng.permutation(len(free)):
-        if len(taxels) < pool.n_existing + n and not pool.overlap[taxel, taxels].any():
+        return pool.existing + rng.choice(pool.free, n, replace=False).tolist()
+    n_existing, columns = len(pool.existing), pool.columns
+    taxels = list(range(n_existing))
+    for taxel in n_existing + rng.permutation(len(pool.free)):
+        if len(taxels) < n_existing + n and not pool.overlap[taxel, taxels].any():
             taxels.append(int(taxel))
-    return [pool.columns[taxel] for taxel in taxels]
+    return [columns[taxel] for taxel in taxels]
