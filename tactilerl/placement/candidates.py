@@ -338,9 +338,9 @@ class Pool:
         hand = hands.get(env)
         free = candidates(flags, hand)
         sets = [layouts.load(name).place(hand) for name in flags.beside]
-        kept = [layouts.load(flags.keep).place(hand)] if flags.keep else []
-        skin, columns = joined([*kept, free, *sets])
-        existing = columns.pop(0) if kept else []
+        existing_sets = [layouts.load(flags.keep).place(hand)] if flags.keep else []
+        skin, columns = joined([*existing_sets, free, *sets])
+        existing = columns.pop(0) if existing_sets else []
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
         taken = {spots[column] for column in existing}
