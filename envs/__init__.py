@@ -9,8 +9,12 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import traceback
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +23,7 @@ from gymnasium.envs.registration import WrapperSpec
 from . import hands, plugins, scenes, validation
 from .validation import nearest, require_known
 
+ROBOTICS = "gymnasium_robotics"
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
@@ -93,6 +98,11 @@ def _hint(name: str, known: tuple[str, ...]) -> str:
     """Return a question that says what may have been meant, or nothing."""
     if name in scenes.names():
         return f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
+    if name not in gym.registry and find_spec(ROBOTICS):
+        with contextlib.redirect_stderr(io.StringIO()):  # it prints what is new
+            import_module(ROBOTICS)  # which registers its environments
+        if name in gym.registry:
+            return f"did you mean {ROBOTICS}:{name}? "
     return nearest(name, known)
 
 

@@ -289,11 +289,12 @@ class GraspEnv(gym.Env[Any, Array]):
             return obs, 0.0, False, True, info
         self._obs = obs = self._goal_obs(observation, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        reward = float(self.task.compute_reward(*goals))
+        reward = self.task.compute_reward(*goals)
+        plugins.require_array(reward, (), f"task {self.config.task}: compute_reward")
         info = self._info(is_success=bool(self.task.is_success(*goals)))
         if self.render_mode == "human":
             self.render()
-        return obs, reward, terminated, is_last and not terminated, info
+        return obs, float(reward), terminated, is_last and not terminated, info
 
     def compute_reward(
         self, achieved_goal: Array, desired_goal: Array, info: Any
@@ -376,7 +377,10 @@ class GraspEnv(gym.Env[Any, Array]):
         kind = self.config.touch
         readings = np.zeros(0 if kind == "absent" else len(self.taxels))
         if kind == "on":
-            readings = self._touch.read(self.state)
+            where = f"touch_rule {self.config.touch_rule}: read"
+            readings = plugins.require_array(
+                self._touch.read(self.state), (len(self.taxels),), where
+            )
         observation = self._observer.observe(self.state, readings)
         largest = np.abs(observation).max()
         if not largest < LIMIT:

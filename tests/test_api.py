@@ -239,6 +239,7 @@ class TestTrain:
 MISTAKES = [
     (lambda: tactilerl.train("lqr", gamma=2), r"gamma: found 2.0, allowed \[0, 1\]"),
     (lambda: tactilerl.train(Short()), "env: found <"),
+    (lambda: tactilerl.make("FetchReach-v4"), "did you mean gymnasium_robotics:FetchReach-v4"),
     (lambda: tactilerl.make("zork:Env-v0"), "No module named 'zork'"),
     (
         lambda: tactilerl.PPO(lambda: gym.make("Pendulum-v1"), workers=2),

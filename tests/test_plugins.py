@@ -31,6 +31,14 @@ class Numb(touch.ContactRule):
     def read(self, state):
         return super().read(state) & False
 
+class Few(touch.ContactRule):
+    def read(self, state):
+        return super().read(state)[:1]
+
+class Vague(tasks.ReachGoal):
+    def compute_reward(self, achieved, desired):
+        return "much"
+
 class Half(tasks.Task):
     rewards = ("uncrushed",)
 
@@ -52,8 +60,8 @@ class Broken(tasks.ReachGoal):
         return {}["nothing"]
 
 tasks.TASKS |= {"easy": Easy, "half": Half, "own": Own, "odd": Odd, "flat": Flat, "broken": Broken}
-tasks.TASKS["no"] = print
-touch.RULES["numb"] = Numb
+tasks.TASKS |= {"no": print, "vague": Vague}
+touch.RULES |= {"numb": Numb, "few": Few}
 hands.OTHERS["claw"] = Path(__file__).with_name("claw.toml")
 """
 
@@ -96,6 +104,10 @@ def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
     train = ["train", *theirs[1:], "--algo", "ddpg_her", "--n-test-rollouts", "1", "--task"]
     flat = "task flat: found an array (2,), allowed numbers of shape (3,)"
     fails_with(capsys, [*train, "flat"], flat)
+    few = "touch_rule few: read: found an array (1,), allowed numbers of shape"
+    fails_with(capsys, [*train, "easy", "--touch-rule", "few"], few)
+    vague = "task vague: compute_reward: found 'much', allowed numbers of shape ()"
+    fails_with(capsys, [*train, "vague"], vague)
     assert main([*train, "broken"]) == 1
     assert 'return {}["nothing"]' in capsys.readouterr().err
     fails_with(capsys, [*theirs, "--task", "esay"], "allowed: lift-and-hold", "easy")
