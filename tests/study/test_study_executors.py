@@ -52,6 +52,7 @@ def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
 
 def test_no_scheduler_there(tmp_path, capsys):
     import dask
+    import distributed  # noqa: F401  (else its settings go with the one below)
 
     on = ["--on", "dask:tcp://127.0.0.1:9"]
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
