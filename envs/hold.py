@@ -29,7 +29,7 @@ OUT_OF_REACH = (
     0.25  # m from the palm; the longest finger of the library's hands reaches 0.15 m
 )
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-CLEAR = 0.01  # m under the object: nothing but the hand holds it
+CLEARANCE = 0.01  # m under the object: nothing but the hand holds it
 LOOK_STEPS = 25  # of the set-up's own timestep, whatever timestep it is run with
 
 
@@ -111,7 +111,9 @@ class HoldTest:
         whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
         left = max(0.0, whole - compressed)
         is_at_rest = speed * (left + self.look_every) < self.settle_distance
-        return bool(is_at_rest and state.clearance > CLEAR) or (is_at_top and left == 0)
+        return bool(is_at_rest and state.clearance > CLEARANCE) or (
+            is_at_top and left == 0
+        )
 
 
 def _in_hand(state: State) -> Array:

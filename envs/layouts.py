@@ -27,9 +27,9 @@ MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
 Millimetres = Annotated[float, "[-50, 50]"]
 Count = Annotated[int, "[1, 100]"]
-MOST_TAXELS = 20_000  # of a layout on a hand
-LEAST = 1e-7  # m: nearer places are the same
-NAMED = Path(__file__).with_name("layout_files")
+MAX_TAXELS = 20_000  # of a layout on a hand
+MIN_DISTANCE = 1e-7  # m: nearer places are the same
+LAYOUT_FOLDER = Path(__file__).with_name("layout_files")
 
 
 @dataclass(frozen=True)
@@ -199,10 +199,10 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """Return the taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
-        spots = list(islice(self.on_grids(hand), MOST_TAXELS + 1))
-        if len(spots) + len(self.taxels) > MOST_TAXELS:
+        spots = list(islice(self.on_grids(hand), MAX_TAXELS + 1))
+        if len(spots) + len(self.taxels) > MAX_TAXELS:
             found = f"layout {self.name!r}: found more taxels on this hand"
-            raise ValueError(f"{found}, allowed up to {MOST_TAXELS:,}")
+            raise ValueError(f"{found}, allowed up to {MAX_TAXELS:,}")
         placed = []
         for index, offset, point in spots:
             surface = hand.surfaces[index]
@@ -291,8 +291,8 @@ def _on_surface(
         outward = surfaces[index].skin(position)[1]
         point = point._replace(normal=tuple(outward.tolist()))
     row, column, height = surfaces[index].offset(position)
-    if abs(height) <= LEAST:
-        height = LEAST  # 0 is of grids
+    if abs(height) <= MIN_DISTANCE:
+        height = MIN_DISTANCE  # 0 is of grids
     return point, index, (row, column, height)
 
 
@@ -368,7 +368,7 @@ PAPER = {
 
 def names() -> tuple[str, ...]:
     """Layouts that can be asked for by name."""
-    return (*PAPER, *sorted(path.stem for path in NAMED.glob("*.toml")))
+    return (*PAPER, *sorted(path.stem for path in LAYOUT_FOLDER.glob("*.toml")))
 
 
 def short(name: str) -> str:
@@ -398,7 +398,7 @@ def load(name: str) -> Layout:
     if path.suffix in READERS:
         return Layout(path.stem, f"points of {name}", (), taxel_files.read(path))
     if not name.endswith(".toml"):
-        path = NAMED / f"{name}.toml"
+        path = LAYOUT_FOLDER / f"{name}.toml"
         if name not in names():
             allowed = (
                 f"{', '.join((*names(), MODEL, 'FILE.toml'))}, {', '.join(READERS)}"

@@ -16,7 +16,7 @@ Number = float | str
 Density = Annotated[float, "[1, 100000]"] | str
 Friction = Annotated[float, "(0, 10]"] | str
 SMALLEST = 0.001  # m: below, a simulator finds no mass in it
-WIDEST = 0.08  # m, of an object across; the benchmark hard_cases goes up to it
+MAX_WIDTH = 0.08  # m, of an object across; the benchmark hard_cases goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
 # m and rad: where the hand leaves room for what is 5 cm across
 OFFSET, YAW = 0.005, 0.15
@@ -155,7 +155,7 @@ def validate(config: ObjectConfig) -> None:
     items = Items(config)
     for size, is_wrong, allowed in (
         (items.smallest, items.smallest < SMALLEST, f"{SMALLEST} m or more"),
-        (items.width, items.width > WIDEST, f"up to {WIDEST} m across"),
+        (items.width, items.width > MAX_WIDTH, f"up to {MAX_WIDTH} m across"),
         (items.height, items.height > TALLEST, f"up to {TALLEST} m in height"),
     ):
         if is_wrong:

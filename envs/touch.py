@@ -31,9 +31,9 @@ from .simulators import Sensor
 from .state import Array, State
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
-SLACK = 5e-5  # m, by how much the distance of a bone may be taken too large
+BONE_TOLERANCE = 5e-5  # m, by how much the distance of a bone may be taken too large
 PATCH = 3e-3  # m, radius of a contact: (2 R SKIN)^0.5 on a finger of R = 9 mm
-TINY = 1e-9  # N and m
+EPSILON = 1e-9  # N and m
 RELEASE = 0.8  # of its threshold: the force below which a taxel that fires stops
 
 
@@ -197,7 +197,7 @@ def _along(phalanx: Surface) -> tuple[Array, float]:
     assert phalanx.bone is not None
     assert phalanx.radius is not None
     begin, end = np.array(phalanx.bone)
-    spacing = 2 * math.sqrt(2 * phalanx.radius * SLACK)
+    spacing = 2 * math.sqrt(2 * phalanx.radius * BONE_TOLERANCE)
     shares = np.linspace(0.0, 1.0, math.ceil(np.linalg.norm(end - begin) / spacing) + 1)
     return begin + shares[:, None] * (end - begin), phalanx.radius + SKIN
 
@@ -250,10 +250,10 @@ class ForceRule(SkinTouch):
         along = np.maximum(normals[:, :, 0] @ contacts.normals.T, 0.0)
         pressing = along * contacts.forces  # (n, k), N along the normals of taxels
         totals = pressing.sum(axis=1)
-        middles = pressing @ contacts.points / np.maximum(totals, TINY)[:, None]
+        middles = pressing @ contacts.points / np.maximum(totals, EPSILON)[:, None]
         offsets = self._centres.world(state) - middles
         distances = np.linalg.norm(offsets, axis=1)
-        ways = offsets / np.maximum(distances, TINY)[:, None]
+        ways = offsets / np.maximum(distances, EPSILON)[:, None]
         beyond = np.einsum("ni,nki->nk", ways, middles[:, None] - contacts.points)
         rims = PATCH + np.maximum(beyond * (along > 0), 0.0).max(axis=1)
         arms = np.maximum(distances - taxels.radii, 0.0)

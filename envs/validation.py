@@ -40,7 +40,7 @@ WORDS = {
     dict: "a table",
     NoneType: "None",
 }
-LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
+INTEGER_LIMIT = 2**63  # whole numbers stay below, so that they have a place in an array
 
 
 # -- names that somebody chose ---------------------------------------------------------------
@@ -215,7 +215,7 @@ def _is_kind(value: Any, hint: Any) -> bool:
         return value is not None
     if kind in (int, float):
         is_number = isinstance(value, kind | int) and not isinstance(value, bool)
-        return is_number and (isinstance(value, float) or abs(value) < LARGEST)
+        return is_number and (isinstance(value, float) or abs(value) < INTEGER_LIMIT)
     if kind is tuple:
         return isinstance(value, list | tuple)
     if kind is str:
@@ -256,7 +256,7 @@ def words(hint: Any) -> str:
 
 def _short(value: Any) -> str:
     """Return a value, or its type when it has many parts."""
-    if isinstance(value, int) and abs(value) >= LARGEST:
+    if isinstance(value, int) and abs(value) >= INTEGER_LIMIT:
         return f"a number of {value.bit_length()} bits, allowed up to 63"
     if isinstance(value, list | tuple):
         return f"[{', '.join(_short(item) for item in value[:9])}]"[:50]

@@ -19,13 +19,13 @@ import filelock
 
 from .errors import BusyError, InputError
 
-LARGEST = 10**9  # bytes of a file that is read as a whole
+MAX_BYTES = 10**9  # bytes of a file that is read as a whole
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
-PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
+LOCK_WAIT = 2.0  # s; who only looks at a lock has it for an instant
 LEFTOVER = ".tmp"  # ends the name of what a process left that was killed while it wrote
 # Not the fault of who named the file.
-FULL = errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG
+DISK_ERRORS = errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG
 
 
 @contextmanager
@@ -60,7 +60,7 @@ def open_regular(path: Path) -> BinaryIO:
     return open(path, "rb")
 
 
-def read_whole(path: Path, most: int = LARGEST, is_packed: bool = False) -> bytes:
+def read_whole(path: Path, most: int = MAX_BYTES, is_packed: bool = False) -> bytes:
     """Return all that a file holds, or a gzip file where it `is_packed`.
 
     Raise ValueError where that is more than `most` bytes.
@@ -148,7 +148,7 @@ def locked(folder: Path) -> Iterator[None]:
             with writable(path):
                 is_new = not path.exists()
                 folder.mkdir(parents=True, exist_ok=True)
-                held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
+                held.enter_context(filelock.FileLock(path, timeout=LOCK_WAIT))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")
             for left in folder.rglob("." + 16 * "[0-9a-f]" + LEFTOVER):
@@ -170,7 +170,7 @@ def writable(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in (None, *FULL):  # None: of a lock that another holds
+        if error.errno in (None, *DISK_ERRORS):  # None: of a lock that another holds
             raise
         raise InputError(f"cannot write {str(path)!r}: {error.strerror}") from error
 

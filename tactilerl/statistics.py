@@ -22,7 +22,7 @@ Array = np.ndarray
 CONFIDENCE = 0.95
 N_RESAMPLES = 50_000  # as the paper's learning curves have them
 N_BINS = 50  # of the histogram behind the converged rate
-TAIL = 0.1  # share of a run's points that count as its end
+END_SHARE = 0.1  # share of a run's points that count as its end
 TRIM = 0.25  # the IQM leaves out this share of the runs at each end
 FEW_RUNS = 10  # below this a percentile interval is too narrow: docs/statistics.md has the coverage
 
@@ -62,7 +62,7 @@ def converged_rate(curves: Array) -> Array:
 
 def final_rate(curves: Array) -> Array:
     """Return the mean of the last tenth of each curve, a point at least; (runs, points) → (runs,)."""
-    n_last = max(1, math.ceil(TAIL * curves.shape[1]))
+    n_last = max(1, math.ceil(END_SHARE * curves.shape[1]))
     return np.asarray(curves[:, -n_last:].mean(axis=1))
 
 

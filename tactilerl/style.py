@@ -6,7 +6,7 @@ from typing import Any
 
 INK, FAINT = "#1b1f24", "#b0b0b1"
 GROUPS = "#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b"  # as in the paper, treatment first
-OTHERS = "#1f8a8a", "#b03020", "#6b7280", "#c2588b", "#7a6a1f", "#3f4f9e"
+MORE_COLOURS = "#1f8a8a", "#b03020", "#6b7280", "#c2588b", "#7a6a1f", "#3f4f9e"
 ROLES = {"on": "touch", "off": "no touch", "absent": "no touch, and no inputs for it"}
 """Names of groups of a study by their value of `touch`."""
 NAMES = {
@@ -24,7 +24,7 @@ STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
     "svg.fonttype": "none",
     "font.family": "sans-serif",
     "font.size": 9,
-    "axes.prop_cycle": f"cycler('color', {list(OTHERS)})",
+    "axes.prop_cycle": f"cycler('color', {list(MORE_COLOURS)})",
     "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,

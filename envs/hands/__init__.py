@@ -19,7 +19,7 @@ from .hand import (
     DIGITS,
     FINGERS,
     FOLDER,
-    KEPT,
+    GRASP_SUFFIX,
     RADIUS,
     SEGMENTS,
     SLIDES,
@@ -37,7 +37,7 @@ __all__ = [
     "ARM",
     "DIGITS",
     "FINGERS",
-    "KEPT",
+    "GRASP_SUFFIX",
     "RADIUS",
     "SEGMENTS",
     "SLIDES",
@@ -141,6 +141,6 @@ _read: dict[Path, tuple[list[Any], Hand]] = {}
 
 def _state(path: Path, hand: Hand) -> list[Any]:
     """Return what changes when a file of a hand does, or a grasp is kept beside it."""
-    files = [path, *hand.files, path.with_suffix(KEPT)]
+    files = [path, *hand.files, path.with_suffix(GRASP_SUFFIX)]
     states = [file.stat() if file.exists() else None for file in files]
     return [state and (state.st_size, state.st_mtime_ns) for state in states]

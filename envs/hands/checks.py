@@ -30,7 +30,7 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     spec = hand.build()
     spec.option.timestep = timestep
     spec.worldbody.add_geom(
-        model_file.PLAIN.default,
+        model_file.EMPTY_SPEC.default,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[1, 1, 0.1],
         contype=GROUND_ALONE,

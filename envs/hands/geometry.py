@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from ..state import KINDS as OBJECT_KINDS
 from ..state import Array, Shape
 
-FAR = 0.5  # m: beyond any hand
+BEYOND_ANY_HAND = 0.5  # m: beyond any hand
 STEP = 1e-4  # m, of differences
 MESH = "mesh"
 KINDS = {
@@ -139,7 +139,7 @@ class Distances:
     def along(self, above: Array, direction: Array) -> tuple[Array, Array] | None:
         """Return where a ray meets the geoms on their link, and the normal there (`meet`)."""
         normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
-        start = above - FAR * direction
+        start = above - BEYOND_ANY_HAND * direction
         away = mujoco.mj_ray(
             self._model, self._data, start, direction, group, True, -1, None, normal
         )
@@ -154,7 +154,7 @@ class Distances:
         data.geom_xpos[item] = point
         n_geoms = model.ngeom - len(OBJECT_KINDS)
         away = [
-            mujoco.mj_geomDistance(model, data, geom, item, FAR, None)
+            mujoco.mj_geomDistance(model, data, geom, item, BEYOND_ANY_HAND, None)
             for geom in range(n_geoms)
         ]
         best = int(np.argmin(away))
@@ -200,16 +200,16 @@ def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
 def gap(
     model: mujoco.MjModel, data: mujoco.MjData, first: int | str, second: int | str
 ) -> float:
-    """Return the distance between what collides of two bodies, m, at most FAR.
+    """Return the distance between what collides of two bodies, m, at most BEYOND_ANY_HAND.
 
     It is negative where they are in each other.
     """
     distances = [
-        mujoco.mj_geomDistance(model, data, a.id, b.id, FAR, None)
+        mujoco.mj_geomDistance(model, data, a.id, b.id, BEYOND_ANY_HAND, None)
         for a in colliding(model, first)
         for b in colliding(model, second)
     ]
-    return min(distances, default=FAR)
+    return min(distances, default=BEYOND_ANY_HAND)
 
 
 def unit(direction: Any, where: str) -> Array:

@@ -35,16 +35,18 @@ WORDS = {
 MAX_LINKS = 4  # of a digit, counted from its tip
 MAX_WRIST_JOINTS = 2  # joints outside of a hand that are no arm
 AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
-LEANING = 0.13  # share of its range by which a joint bends further one way
+BEND_ASYMMETRY = 0.13  # share of its range by which a joint bends further one way
 STEP = 0.01  # rad or m, by which a joint goes to see what it turns
-NUDGE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
-NEARER = 5e-3  # m by which a tip comes nearer to others when a joint closes
+TRIAL_ANGLE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
+MIN_APPROACH = 5e-3  # m by which a tip comes nearer to others when a joint closes
 N_STEPS = 20  # of a digit's way to its closed end
 IN_PALM, IN_FINGER = 2e-3, 8e-3
 """m that fingers may be in the palm, and in each other, before they stop."""
-LEAST_CLOSING = 0.4  # share of their way that fingers go in any case beside a thumb
-ALONE = 0.5  # cosine by which a thumb goes another way than the other digits do
-BEYOND = 0.5  # of the way of a finger's first joint, what those beyond it go
+MIN_CLOSING = 0.4  # share of their way that fingers go in any case beside a thumb
+MAX_THUMB_COSINE = (
+    0.5  # cosine by which a thumb goes another way than the other digits do
+)
+DISTAL_SHARE = 0.5  # of the way of a finger's first joint, what those beyond it go
 HALF_OPEN, OPENING = 0.5, 0.11
 """Least share of opening at the start, and distance between thumb and fingers there, m."""
 FLEXING = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
@@ -147,7 +149,7 @@ class Guess:
             alike = (self.ways @ self.ways.T).sum(axis=1).round(6)
             loner = int(np.argmin(alike))
             others = np.delete(alike, loner).mean()
-            if len(names) == 2 or alike[loner] < others - ALONE:
+            if len(names) == 2 or alike[loner] < others - MAX_THUMB_COSINE:
                 names[loner] = "thumb"
         away = np.zeros(len(names))
         if "thumb" in names:
@@ -241,13 +243,13 @@ class Guess:
             if not slides and abs(axis @ hinges[-1]) <= FLEXING:
                 continue
             begin, (low, high) = self.parts.inside(joint), self.limits(joint)
-            step = min(NUDGE, (high - low) / 4)
+            step = min(TRIAL_ANGLE, (high - low) / 4)
             tips = [self.tips({joint: begin + way * step})[number] for way in (-1, 1)]
             down, up = np.linalg.norm(tips - middle, axis=1)
             way = low + high - 2 * begin
-            is_even = abs(way) < LEANING * (high - low)
+            is_even = abs(way) < BEND_ASYMMETRY * (high - low)
             by_tip = slides or is_even or len(self.chains) == 2
-            if by_tip and abs(down - up) > NEARER:
+            if by_tip and abs(down - up) > MIN_APPROACH:
                 way = down - up
             opened, closed = (low, high) if way > 0 else (high, low)
             is_long = abs(closed - begin) >= abs(opened - begin)
@@ -311,7 +313,7 @@ class Guess:
             share = 1.0
             for joint, (begin, end) in self.ends[number].items():
                 opened[joint], closed[joint] = begin, begin + share * (end - begin)
-                share = 1.0 if self.thumb is None else BEYOND
+                share = 1.0 if self.thumb is None else DISTAL_SHARE
         return opened, closed
 
     @cached_property
@@ -333,7 +335,7 @@ class Guess:
         usual = is_deep(0.0)
         for step in range(1, N_STEPS + 1):
             if (is_deep(step / N_STEPS) & ~usual).any():
-                least = 1 / N_STEPS if self.thumb is None else LEAST_CLOSING
+                least = 1 / N_STEPS if self.thumb is None else MIN_CLOSING
                 return max((step - 1) / N_STEPS, least)
         return 1.0
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FOLDER, SUFFIX = Path(__file__).parent, ".toml"
 RADIUS = 2e-3  # m, of taxels of which nothing says it
-KEPT = ".grasp.toml"
+GRASP_SUFFIX = ".grasp.toml"
 """Suffix in place of SUFFIX where a command keeps a grasp that it has found for a file without one."""
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """The first joints and actuators: they carry the whole hand along the world's axes."""

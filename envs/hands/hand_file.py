@@ -18,7 +18,15 @@ from ..state import Array
 from ..validation import require_one_of, require_rising, require_type
 from . import checks, model_file, mount, surfaces
 from .geometry import placed, posed
-from .hand import KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface, short_digest
+from .hand import (
+    GRASP_SUFFIX,
+    SLIDES,
+    Hand,
+    LinearAction,
+    ScriptedGrasp,
+    Surface,
+    short_digest,
+)
 from .mount import Mount
 from .parts import GraspTable, HandFile, Names, Parts, require_distinct
 
@@ -177,7 +185,7 @@ def _above_the_object(parts: Parts, built: Mount) -> Array:
     """
     spec, room = built(), Hand.start_clearance / 2
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
-    around, usual = spec.worldbody, model_file.PLAIN.default
+    around, usual = spec.worldbody, model_file.EMPTY_SPEC.default
     around.add_geom(usual, type=plane, size=[1, 1, 0.1])
     around.add_geom(usual, type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
     model = model_file.compiled(spec)
@@ -217,7 +225,7 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
 
 def _kept(path: Path) -> tuple[GraspTable, ...]:
     """Return what a command has found for a file that has no grasp, and kept beside it."""
-    kept = path.with_suffix(KEPT)
+    kept = path.with_suffix(GRASP_SUFFIX)
     data = validation.read(kept, "grasp file") if kept.is_file() else {}
     if data.get("hand") != short_digest(path):
         return ()

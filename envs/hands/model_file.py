@@ -12,14 +12,14 @@ from xml.etree.ElementTree import Element
 import mujoco
 import numpy as np
 
-PLAIN = mujoco.MjSpec()
-"""MuJoCo's own defaults, `PLAIN.default`, for what is added to a model that has defaults."""
+EMPTY_SPEC = mujoco.MjSpec()
+"""MuJoCo's own defaults, `EMPTY_SPEC.default`, for what is added to a model that has defaults."""
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
 MOST_BODIES, MOST_GEOMS = 1_000, 5_000
 LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
-WIDEST = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
-LEAST_INERTIA = 1e-9  # kg m²: what a URDF rounds to zero
+MAX_RADIANS = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
+MIN_INERTIA = 1e-9  # kg m²: what a URDF rounds to zero
 
 
 def read(path: Path) -> mujoco.MjSpec:
@@ -195,7 +195,7 @@ def _prepare_urdf(robot: Element, path: Path) -> None:
         mesh.set("filename", str(file.absolute()))
     for inertia in robot.iter("inertia"):
         for axis in ("ixx", "iyy", "izz"):
-            about = max(float(inertia.get(axis, 0)), LEAST_INERTIA)
+            about = max(float(inertia.get(axis, 0)), MIN_INERTIA)
             inertia.set(axis, repr(about))
     _check_joints(robot)
     extension = ElementTree.SubElement(robot, "mujoco")
@@ -216,7 +216,7 @@ def _check_joints(robot: Element) -> None:
         name, limit, mimic = joint.get("name"), joint.find("limit"), joint.find("mimic")
         if limit is not None and joint.get("type") == "revolute":
             ends = [float(limit.get(end, 0)) for end in ("lower", "upper")]
-            if max(map(abs, ends)) > WIDEST:
+            if max(map(abs, ends)) > MAX_RADIANS:
                 raise ValueError(
                     f"joint {name!r}: found limits {ends}, allowed radians: these are degrees; "
                     "multiply them by pi / 180"

@@ -30,9 +30,9 @@ OBJECT, GROUND, GIVER = "object", "ground", "giver"
 """Names of what is in a scene besides the hand."""
 RESERVED = {OBJECT, GROUND, *SLIDES}
 KINDS = ("tendons", "actuators", "sites", "geoms", "bodies")  # of what can be left out
-UNRANGED = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
+DEFAULT_RANGES = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
 """End of the range that a driven joint without one gets, to both sides, rad or m."""
-FREE = mujoco.mjtJoint.mjJNT_FREE
+FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 JOINT, TENDON = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
@@ -147,7 +147,7 @@ class Mount:
             root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
         for name, axis in zip(SLIDES, rotation, strict=True):
             slide = root.add_joint(
-                model_file.PLAIN.default, name=name, type=LINEAR, axis=axis
+                model_file.EMPTY_SPEC.default, name=name, type=LINEAR, axis=axis
             )
             slide.damping[0] = self.slides.damping
             add_servo(spec, name, self.slides.gain, self.slides.force)
@@ -299,7 +299,7 @@ class Mount:
                     is_unranged(joint)
                     and actuator.ctrlrange[0] == actuator.ctrlrange[1]
                 ):
-                    end = UNRANGED[joint.type] / _unit(joint)
+                    end = DEFAULT_RANGES[joint.type] / _unit(joint)
                     joint.range = [-end, end]
                     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
@@ -324,7 +324,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         raise ValueError(f"root: found no body {root!r} in the model")
     if not root and len(roots) == 1:
         for joint in roots[0].joints:
-            if joint.type == FREE:
+            if joint.type == FREE_JOINT:
                 spec.delete(joint)
         if roots[0].frame is None and not list(roots[0].joints):
             return spec
@@ -376,7 +376,7 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
 
 def is_loose(body: mujoco.MjsBody) -> bool:
     """Return whether a body moves by itself, or is moved from outside."""
-    return bool(body.mocap) or any(joint.type == FREE for joint in body.joints)
+    return bool(body.mocap) or any(joint.type == FREE_JOINT for joint in body.joints)
 
 
 def is_fixed(body: mujoco.MjsBody) -> bool:
@@ -465,7 +465,7 @@ def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:
 
 def add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
     """Add an actuator of the joint's name: force = gain x (target - position), at most `limit`."""
-    usual = model_file.PLAIN.default
+    usual = model_file.EMPTY_SPEC.default
     servo = spec.add_actuator(usual, name=joint, target=joint, trntype=JOINT)
     servo.forcelimited, servo.forcerange = True, [-limit, limit]
     servo.set_to_position(kp=gain)

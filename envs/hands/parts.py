@@ -21,7 +21,7 @@ from .geometry import perpendicular, placed, posed, unit
 from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
 from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
 
-SLACK = 1e-3  # rad or m that an angle may be beyond a joint's range
+RANGE_TOLERANCE = 1e-3  # rad or m that an angle may be beyond a joint's range
 Angles = dict[str, float]
 """Angles by joint, rad or m."""
 Names = tuple[str, ...]
@@ -343,7 +343,7 @@ class Parts:
         angles = self.by_joint(values, where)
         for joint, angle in angles.items():
             low, high = self.range_of(joint)
-            if not low - SLACK <= angle <= high + SLACK:
+            if not low - RANGE_TOLERANCE <= angle <= high + RANGE_TOLERANCE:
                 raise ValueError(
                     f"{where}.{joint}: found {angle:g}, allowed {low:.4g} to {high:.4g}, "
                     "the joint's range"

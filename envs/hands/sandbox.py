@@ -17,7 +17,7 @@ from unittest import mock
 T = TypeVar("T")
 CPU_SECONDS, SECONDS = 30, 300
 """Limits of reading, s: on a processor, and by the clock, which counts where a file is waited for."""
-MEMORY = 8 * 2**30  # bytes of address space
+MAX_MEMORY = 8 * 2**30  # bytes of address space
 
 
 def call(function: Callable[..., T], *args: Any) -> T:
@@ -44,7 +44,7 @@ def call(function: Callable[..., T], *args: Any) -> T:
                 f"breaks MuJoCo's reader, or takes longer than {CPU_SECONDS} s to read"
             )
         except MemoryError:
-            how = f"needs more than {MEMORY >> 30} GB to read"
+            how = f"needs more than {MAX_MEMORY >> 30} GB to read"
         except Exception as error:  # whatever MuJoCo or a parser raises
             line = " ".join(str(error).split())[:300]
             raise ValueError(f"model: {type(error).__name__}: {line}") from None
@@ -61,5 +61,5 @@ def _limit(folder: str, cpu_seconds: int) -> None:
         import resource
 
         signal.alarm(SECONDS)
-        for limit, value in (("AS", MEMORY), ("CPU", cpu_seconds), ("CORE", 0)):
+        for limit, value in (("AS", MAX_MEMORY), ("CPU", cpu_seconds), ("CORE", 0)):
             resource.setrlimit(getattr(resource, f"RLIMIT_{limit}"), (value, value))

@@ -66,7 +66,7 @@ OBJECT_FIGURES = {
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
-BROKEN = [
+DIVERGENCE_WARNINGS = [
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}"))
     for what in ("QPOS", "QVEL", "QACC")
 ]
@@ -329,7 +329,9 @@ class MujocoSimulator(Simulator):
         except mujoco.FatalError as error:
             raise SimulationError(f"MuJoCo: {' '.join(str(error).split())}") from error
         q, v, warned = self.data.qpos, self.data.qvel, self.data.warning.number.tolist()
-        if not math.isfinite(q @ q + v @ v) or any(warned[kind] for kind in BROKEN):
+        if not math.isfinite(q @ q + v @ v) or any(
+            warned[kind] for kind in DIVERGENCE_WARNINGS
+        ):
             raise SimulationError("MuJoCo's state is not finite, or huge")
 
     def carry(self, goal: Array) -> None:

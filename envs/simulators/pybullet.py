@@ -49,7 +49,7 @@ pybullet = _import_quietly()
 GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
-TINY = 1e-9
+EPSILON = 1e-9
 # Of coupled joints: share of an error that a step takes back, and N m.
 GEAR_ERP, GEAR_FORCE = 0.5, 1e3
 JOINT_DAMPING = 0.01  # N m s/rad
@@ -185,7 +185,7 @@ class PyBulletSimulator(Simulator):
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
             stiffness, damping, limit = servo_figures(model, actuator, joint)
             limits.append(limit)
-            rate = stiffness / max(damping, TINY)
+            rate = stiffness / max(damping, EPSILON)
             gains.append(min(1.0, rate * self.scene.timestep))
         soft = [each for each in hand.couplings if not each.is_rigid]
         self._drivers = [hand.actuated.index(each.driver) for each in soft]

@@ -17,9 +17,13 @@ from ..pictures import render
 from ..scripted import grasp_search
 from ..terminal.console import beside, progress
 
-LEAST_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
-FAR = 0.64  # m, of a camera that sees a hand of usual size over an object that fell
-MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
+MIN_HELD_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
+CAMERA_DISTANCE = (
+    0.64  # m, of a camera that sees a hand of usual size over an object that fell
+)
+HEADER = (
+    "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
+)
 
 
 def require_grasp(name: str, scene: GraspConfig) -> None:
@@ -35,10 +39,10 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
             f"hand {name}: found no grasp that holds; look at [opened] and [closed]"
         )
     path = hands.file(name)
-    target = path.with_suffix(hands.KEPT)
+    target = path.with_suffix(hands.GRASP_SUFFIX)
     with replacing(target) as file:
         digest = hands.short_digest(path)
-        file.write(f'{MARK}hand = "{digest}"\n\n{best.toml()}\n'.encode())
+        file.write(f'{HEADER}hand = "{digest}"\n\n{best.toml()}\n'.encode())
     beside.print(f"kept in {target}")
 
 
@@ -54,7 +58,7 @@ def find_grasp(
         best = grasp_search.find(name, scene, free_cores(), tick)
     up = f"{100 * best.share:.0f} % of the time"
     size = f"a {1e3 * best.grasp.object_size:g} mm object"
-    if best.share >= LEAST_SHARE:
+    if best.share >= MIN_HELD_SHARE:
         digits = f"touched by {best.digits:.1f} digits"
         beside.print(f"found one: it holds {size} {up}, {digits}")
         return best
@@ -71,7 +75,7 @@ def draw(
     overwrite: bool, grasp: ScriptedGrasp | None = None,
 ) -> None:  # fmt: skip
     """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
-    distance = Camera.distance if grasp is None else FAR
+    distance = Camera.distance if grasp is None else CAMERA_DISTANCE
     try:
         require_new(path, overwrite)
         camera = Camera(azimuth=300.0, distance=distance)

@@ -25,7 +25,7 @@ pose, and a grasp. Everything can be changed in the file afterwards.
 examples:
   tactilerl hand robot.urdf --out my_hand.toml
   tactilerl hand leap_hand/right_hand.xml --out leap.toml"""
-MARK = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
+HEADER = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _write(choices: HandFlags, known: dict[str, Any]) -> None:
     known = {"palm": choices.palm, "drop": list(choices.drop), **known}
     text, notes = sandbox.call(guess.describe, model, folder, known)
     with replacing(choices.out) as file:
-        file.write((MARK + text).encode())
+        file.write((HEADER + text).encode())
     console.print(f"{choices.out}: guessed; correct it in the file:")
     console.print(text.partition("\n\n[opened]")[0])
     for note in notes:

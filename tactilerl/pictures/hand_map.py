@@ -17,7 +17,7 @@ Box = tuple[float, float, float, float]
 # All mm.
 MARGIN = 6.0  # around all of it
 EDGE = 3.0  # of a panel beyond the places of its outermost taxels
-GAP = 2 * EDGE + 2.0  # between the outermost places of two panels
+PANEL_GAP = 2 * EDGE + 2.0  # between the outermost places of two panels
 LETTERS = 7.0  # the height of a label
 LETTER_WIDTH = 0.55 * LETTERS  # of a letter on the mean
 ROUND = 0.4  # radius of a panel's corners, of half its width
@@ -65,18 +65,18 @@ def panels(hand: Hand) -> list[Panel]:
             if surface.digit == digit:
                 half = max(half, half_width)
         middles[digit] = right + half
-        right += 2 * half + GAP
+        right += 2 * half + PANEL_GAP
     tops = dict.fromkeys(columns, 0.0)
     drawn = []
     for surface, (low, high, half_width) in zip(hand.surfaces, spans, strict=True):
-        x = middles.get(surface.digit, (right - GAP) / 2)
+        x = middles.get(surface.digit, (right - PANEL_GAP) / 2)
         if surface.segment == "palm":
-            drawn.append(Panel(x, -GAP - high, half_width, low, high))
+            drawn.append(Panel(x, -PANEL_GAP - high, half_width, low, high))
             continue
         if surface.segment == "distal" and surface.bone is not None:
             high += half_width  # a fingertip is round
         y = tops[surface.digit] - low
-        tops[surface.digit] = y + high + GAP
+        tops[surface.digit] = y + high + PANEL_GAP
         drawn.append(Panel(x, y, half_width, low, high))
     return drawn
 

@@ -32,7 +32,9 @@ END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 SIDE, LINES, LETTERS = 480, 88, (40, 26)
 """Pixels of a film: height of the scene, of the lines above it, and of their letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
-NEAR = 0.6  # reaches of the hand that an object may be from the palm to be looked at
+MAX_REACHES = (
+    0.6  # reaches of the hand that an object may be from the palm to be looked at
+)
 
 
 def picture(
@@ -76,7 +78,7 @@ class _Artist:
         env = self.env
         state = env.simulator.state()
         towards = state.object_position - state.palm
-        share = min(1.0, NEAR * env.hand.reach / float(np.linalg.norm(towards)))
+        share = min(1.0, MAX_REACHES * env.hand.reach / float(np.linalg.norm(towards)))
         middle = state.palm + share * towards / 2
         image = env.picture(replace(self._camera, lookat=tuple(middle.tolist())))
         if self._map is None:

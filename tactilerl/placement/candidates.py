@@ -24,7 +24,7 @@ from ..machine import WorkerCount
 from ..pictures import places
 
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
-AROUND = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+ANGLES = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
 """Directions in which the margin of a taxel is looked at, rad."""
 KINDS_OF_LOSS = ("taxel", "digit", "segment")
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
@@ -192,7 +192,7 @@ def has_margin(surface: Surface, row: float, column: float, margin: float) -> bo
     if not low + margin <= row <= high - margin or abs(column) > half_width - margin:
         return False
     around = zip(
-        row + margin * np.sin(AROUND), column + margin * np.cos(AROUND), strict=True
+        row + margin * np.sin(ANGLES), column + margin * np.cos(ANGLES), strict=True
     )
     return not any(surface.is_gap(*place) for place in around)
 

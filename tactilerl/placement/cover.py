@@ -21,11 +21,13 @@ from ..envs.state import Array
 
 NEVER = 255
 """The moment of what does not happen; moments are numbers of actions."""
-MOST_SWAPS = 20  # which settle long before
+MAX_SWAPS = 20  # which settle long before
 NODES = 200  # of a search by branch and bound
-MOST_ROWS = 6_000  # of a linear program; larger ones are left to greedy search
-TIE = 1e-9  # what the worth of a taxel counts for among sets that are equally good
-SAME = 1e-12  # difference of shares that are equal
+MAX_ROWS = 6_000  # of a linear program; larger ones are left to greedy search
+TIE_WEIGHT = (
+    1e-9  # what the worth of a taxel counts for among sets that are equally good
+)
+EQUAL_SHARES = 1e-12  # difference of shares that are equal
 INTACT = 1e-6  # what success without a loss counts for among sets whose worst losses are equal
 
 
@@ -109,7 +111,7 @@ def worst_loss(
     least, worst = value(starts, taxels), None
     for index in np.flatnonzero(losses[:, list(taxels)].any(axis=1)).tolist():
         after = value(starts, without(taxels, losses[index]))
-        if after < least - SAME:
+        if after < least - EQUAL_SHARES:
             least, worst = after, index
     return least, worst
 
@@ -154,7 +156,7 @@ def greedy(
     there is no room.
     """
     n_taxels = starts.fires.shape[1]
-    ties = TIE * starts.worth
+    ties = TIE_WEIGHT * starts.worth
     chosen = list(first)
 
     def best_addition(rests: list[list[int]]) -> list[int]:
@@ -175,11 +177,14 @@ def greedy(
 
     while len(chosen) < k:
         chosen = best_addition([chosen])
-    for _ in range(MOST_SWAPS):
+    for _ in range(MAX_SWAPS):
         swapped = best_addition(
             [[i for i in chosen if i != out] for out in chosen if out not in existing]
         )
-        if score(starts, swapped, losses) - score(starts, chosen, losses) <= SAME:
+        if (
+            score(starts, swapped, losses) - score(starts, chosen, losses)
+            <= EQUAL_SHARES
+        ):
             break
         chosen = swapped
     return chosen
@@ -224,7 +229,7 @@ def _exact(
     """Return the best taxels, or None, and a bound of success after the worst loss."""
     n, m = starts.fires.shape
     rows, cases = _program(starts, losses)
-    if len(rows) > MOST_ROWS:
+    if len(rows) > MAX_ROWS:
         return None, 1.0
     if overlap is not None:
         for i, j in np.argwhere(np.triu(overlap)).tolist():

@@ -58,8 +58,8 @@ CHECKPOINT = {"format": int, "epoch": int, "config": str, "ranks": list}
 CHECKPOINT |= {"experience": list, "spaces": str}
 PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
-FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
-SHARE = "success_rate"  # ends the names of columns that are shares
+FIRST_COLUMNS = ["epoch", "env_steps"]  # the columns that every table begins with
+RATE_SUFFIX = "success_rate"  # ends the names of columns that are shares
 FINITE = -sys.float_info.max, sys.float_info.max
 Row = dict[str, str]
 
@@ -295,8 +295,12 @@ def parse(text: str) -> tuple[list[Row], str]:
     reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     rows, before = list[Row](), (-1, 0)
     try:
-        if [*(reader.fieldnames or FIRST)][: len(FIRST)] != FIRST:
-            raise ValueError(f"its header does not begin with {','.join(FIRST)}")
+        if [*(reader.fieldnames or FIRST_COLUMNS)][
+            : len(FIRST_COLUMNS)
+        ] != FIRST_COLUMNS:
+            raise ValueError(
+                f"its header does not begin with {','.join(FIRST_COLUMNS)}"
+            )
         for row in reader:
             is_one_line = reader.line_num == len(rows) + 2
             if None in row or None in row.values() or not is_one_line:
@@ -306,7 +310,7 @@ def parse(text: str) -> tuple[list[Row], str]:
                 raise ValueError(f"its epochs or steps do not follow: {now}, {before}")
             before = now
             for column, field in row.items():
-                low, high = (0.0, 1.0) if column.endswith(SHARE) else FINITE
+                low, high = (0.0, 1.0) if column.endswith(RATE_SUFFIX) else FINITE
                 if not (low <= (value := float(field or 0)) <= high or value != value):
                     raise ValueError(f"{column}: found {field[:50]}")
             rows.append(row)

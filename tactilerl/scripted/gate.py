@@ -15,7 +15,9 @@ from ..envs.observations import TaxelFaults
 from . import reflexes
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
-PAYS = 0.3  # difference of success rates from which touch, or a scene, tells anything
+MIN_GAIN = (
+    0.3  # difference of success rates from which touch, or a scene, tells anything
+)
 NO_FAULTS: dict[str, Any] = {
     **dataclasses.asdict(TaxelFaults()),
     "taxel_delay": 0,
@@ -135,7 +137,7 @@ def verdict(results: list[HandResult]) -> str:
     """Return one sentence about what touch can win in the scene."""
     rates, blind = {one.name: one.rate for one in results}, without_touch(results)
     room = rates["sighted"] - blind.rate
-    if room < PAYS:
+    if room < MIN_GAIN:
         return (
             f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds in "
             f"{blind.rate:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
@@ -149,7 +151,7 @@ def verdict(results: list[HandResult]) -> str:
 
 def pays(touch: float, blind: float) -> bool:
     """Tell whether a success rate with touch is enough above that of the best hand without."""
-    return touch - blind >= PAYS
+    return touch - blind >= MIN_GAIN
 
 
 def where_touch_stops(rates: Mapping[float, tuple[float, float]]) -> str:

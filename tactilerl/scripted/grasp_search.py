@@ -24,7 +24,7 @@ GOOD = (
     0.9  # share of the time that an object is held, below which there is another search
 )
 BEST = 6  # candidates from which the next are drawn around
-BESIDE = 0.025  # m that the palm may be beside its place at the start
+MAX_OFFSET = 0.025  # m that the palm may be beside its place at the start
 GROUNDS = 0.004, -0.03, -0.03
 """Height of the lowest fingertip over the ground in each search, m: as the hand closes, tips rise."""
 UP = 0.05  # m above its place at the start
@@ -95,7 +95,9 @@ def find(
 
         searches = []
         for attempt, ground in enumerate(GROUNDS):
-            lowest = np.array([-BESIDE, -BESIDE, min(ground - tip, 0.0), CLOSINGS[0]])
+            lowest = np.array(
+                [-MAX_OFFSET, -MAX_OFFSET, min(ground - tip, 0.0), CLOSINGS[0]]
+            )
             rng = np.random.default_rng(SEED + attempt)
             searches.append(_search(test, lowest, rng))
             if searches[-1].result[1] >= GOOD:
@@ -110,7 +112,7 @@ def _search(
     test: Callable[[Array, range], Candidate], lowest: Array, rng: np.random.Generator
 ) -> Candidate:
     """Return the best candidate whose figures are `lowest` (4,) or more."""
-    highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
+    highest = np.array([MAX_OFFSET, MAX_OFFSET, UP, CLOSINGS[1]])
     tried: list[Candidate] = []
     for n in ROUNDS:
         if not tried:

@@ -23,8 +23,8 @@ from ..envs.state import Array
 
 BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
-LATEST = 3  # actions before the end of an episode
-TRIAL = 3  # actions that an active hand closes, and as many that it opens
+FINAL_ACTIONS = 3  # actions before the end of an episode
+TRIAL_ACTIONS = 3  # actions that an active hand closes, and as many that it opens
 SENSES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
     "time": (range(6, 51, 3), (0, 2, 5)),
     "joints": (np.geomspace(2.0, 100.0, 15).tolist(), (-0.3, -0.1, -0.03)),
@@ -61,14 +61,16 @@ class Reflex:
         read = getattr(senses, self.sense)
         shift = senses.seen_offset() if self.sense == "sight" else np.zeros(2)
         parts = _parts(base, self.closing, shift)
-        latest = base.max_episode_steps - LATEST
+        latest = base.max_episode_steps - FINAL_ACTIONS
         if senses.lifts:
             senses.n_first = len(parts[0])
             latest -= len(parts[1])
         first, second = (chain(part, repeat(part[-1])) for part in parts)
         targets: Iterator[Array] = first
         if self.sense == "active":
-            targets = cycle([parts[1][-1]] * TRIAL + [parts[0][-1]] * TRIAL)
+            targets = cycle(
+                [parts[1][-1]] * TRIAL_ACTIONS + [parts[0][-1]] * TRIAL_ACTIONS
+            )
         is_over = False
         while not is_over:
             if read() >= self.threshold or senses.step >= latest:
@@ -150,9 +152,11 @@ class _Senses:
 
         It is in rad and m, and 0 but right after a test squeeze.
         """
-        if self.step % (2 * TRIAL) != TRIAL:
+        if self.step % (2 * TRIAL_ACTIONS) != TRIAL_ACTIONS:
             return 0.0
-        now, first = (self._obs[step][self._joints] for step in (self.step, TRIAL))
+        now, first = (
+            self._obs[step][self._joints] for step in (self.step, TRIAL_ACTIONS)
+        )
         return float(np.abs(now - first).mean())
 
 

@@ -15,7 +15,7 @@ from .grid import Setup, Study
 from .pairs import SEED, Verdict, judge, runs_of, scores, span
 from .records import Record
 
-MOST_POINTS = 500  # of a curve
+MAX_POINTS = 500  # of a curve
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _setup(
     finished = [record for record in records if record.is_finished]
     first, last = span(finished)
     longest = max((len(record.curve[0]) for record in finished), default=0)
-    n_points = min(longest, MOST_POINTS if first < last else 1)
+    n_points = min(longest, MAX_POINTS if first < last else 1)
     steps = np.linspace(last, first, n_points)[::-1]
     groups = {}
     for setting in setup.settings:

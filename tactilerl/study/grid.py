@@ -46,8 +46,8 @@ MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "compare", "primary", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
 SEED, IMPORT = "seed", "import"
-TAKEN = {SEED, "out", "resume", "workers", "tensorboard"}
-MOST_RUNS = 10_000  # a slip in a grid multiplies
+RESERVED_FLAGS = {SEED, "out", "resume", "workers", "tensorboard"}
+MAX_RUNS = 10_000  # a slip in a grid multiplies
 
 Score = Literal["area", "final", "converged"]
 """The number that a run is judged by: docs/statistics.md."""
@@ -172,8 +172,8 @@ class Study:
             for setup in self.setups
         ]
         n_runs = sum(counts) * all(counts)
-        if not 0 < n_runs <= MOST_RUNS:
-            raise ValueError(f"grid: found {n_runs:,} runs, allowed 1 to {MOST_RUNS:,}")
+        if not 0 < n_runs <= MAX_RUNS:
+            raise ValueError(f"grid: found {n_runs:,} runs, allowed 1 to {MAX_RUNS:,}")
         for name, times in Counter(run.name for run in self.runs()).items():
             require_name(name, "the name of a run")
             if times > 1:
@@ -228,7 +228,7 @@ def _setup(name: str, table: dict[str, Any], study: dict[str, Any]) -> Setup:
     flags = _flags({k: v for k, v in table.items() if k not in SETUP_KEYS})
     grid = _flags(validation.table(parts, "grid"))
     seeds = _seeds(_as_list(grid.pop(SEED, 0)))
-    for flag in TAKEN & (flags.keys() | grid.keys()):
+    for flag in RESERVED_FLAGS & (flags.keys() | grid.keys()):
         raise ValueError(
             f"{flag}: leave it out; seeds belong in the grid, the rest to `study run`"
         )
@@ -252,7 +252,7 @@ def _seeds(values: list[Any]) -> list[int]:
     for part in ",".join(map(str, values)).split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not first <= last < first + MOST_RUNS:
+        if not first <= last < first + MAX_RUNS:
             expected = 'expected numbers and ranges, such as "0-9"'
             raise ValueError(f"seed: found {part[:60]!r}, {expected}")
         seeds += range(first, last + 1)

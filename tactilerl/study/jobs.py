@@ -33,7 +33,7 @@ from .grid import Run
 from .records import Record, StudyFiles
 
 ATTEMPTS = 2
-PATIENCE = (
+WORKER_WAIT = (
     5.0  # s until busy runs are asked for again: a killed worker's run ends meanwhile
 )
 INTERRUPTED = (130, -signal.SIGINT)
@@ -124,7 +124,7 @@ def run_all(
                 else:
                     on_end(job, ending)
         if busy:
-            time.sleep(PATIENCE)
+            time.sleep(WORKER_WAIT)
         jobs = busy
 
 

@@ -15,7 +15,7 @@ from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
 from ..errors import extra
 
-SAID = {  # of a run that has had such faults
+FAULT_NOTES = {  # of a run that has had such faults
     "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
     "warnings": "the simulator warned {:.0f} times",
 }
@@ -56,7 +56,7 @@ class EpochLog:
             self._events.close()
         for fault, times in self._faults.items():
             if times:
-                self.console.print(f"warning: {SAID[fault].format(times)}")
+                self.console.print(f"warning: {FAULT_NOTES[fault].format(times)}")
 
     def epoch(self, row: Mapping[str, Any]) -> None:
         """Print one row of the progress table."""

@@ -128,10 +128,10 @@ def browser(design, tmp_path, request):
 
 @needs_chromium
 class TestPage:
-    def test_twenty_sets_have_pythons_numbers(self, design, browser):
+    def test_fifty_sets_have_pythons_numbers(self, design, browser):
         (design, judge), rng = design, np.random.default_rng(1)
         browser.click("#clear")
-        for n in rng.integers(1, 12, 20):
+        for n in rng.integers(1, 12, 50):
             taxels = sorted(rng.choice(design.pool.columns, n, replace=False).tolist())
             browser.click("#clear")
             for taxel in taxels:
@@ -187,7 +187,7 @@ def contrast(*colours):
 
 
 def test_a_page_that_is_too_large_is_refused(design, monkeypatch):
-    monkeypatch.setattr(page, "MOST_BYTES", 1_000)
+    monkeypatch.setattr(page, "MAX_BYTES", 1_000)
     with pytest.raises(ValueError, match="out: found a page of"):
         page.page(design[0])
 

@@ -67,10 +67,10 @@ class TestReflexes:
         assert Reflex("active", 0.03, 1.0).play(env, 1)
         is_closed = [not np.array_equal(targets, env.hand.start_targets()) for targets in steps]
         came = env.task.sets_off
-        cycle = [True] * reflexes.TRIAL + [False] * reflexes.TRIAL
+        cycle = [True] * reflexes.TRIAL_ACTIONS + [False] * reflexes.TRIAL_ACTIONS
         assert is_closed[:came] == (cycle * 9)[:came]
         went = next(i for i in range(len(steps)) if is_closed[i : i + 4] == [True] * 4)
-        assert came < went + reflexes.TRIAL <= came + env.task.stays + 2
+        assert came < went + reflexes.TRIAL_ACTIONS <= came + env.task.stays + 2
         assert all(is_closed[went:])
 
     def test_touch_goes_when_taxels_fire_and_not_before(self):

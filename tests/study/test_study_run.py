@@ -191,7 +191,7 @@ class TestSharing:
         log = folder.beside(run, "log").read_bytes()
         in_training, in_study = folder.run_dir(run).path / ".lock", folder.beside(run, "lock")
         monkeypatch.setattr(jobs, "_process", None)
-        monkeypatch.setattr(jobs, "PATIENCE", 0)
+        monkeypatch.setattr(jobs, "WORKER_WAIT", 0)
         args = ["study", "run", write(tmp_path), "--out", folder.path]
         with filelock.FileLock(in_training if holder == "train" else in_study):
             assert (folder.record(run).state == "running") == (holder == "train")
