@@ -20,7 +20,7 @@ from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.learners import scaling
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import forces, hands, hard_cases, hold_verdict, speed_vs_error
-from benchmarks.studies import gates, setups_study, study_tables
+from benchmarks.studies import gates, losses, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -55,6 +55,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "hands": _of("hands", hands.show),
     "hard cases": _of("hard_cases", hard_cases.show_short),
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
+    **losses.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},

@@ -46,7 +46,8 @@ class ObjectConfig:
     @property
     def is_near(self) -> bool:
         """True if the object starts where the hand leaves room for it."""
-        return self.start_offset <= OFFSET and self.start_yaw <= YAW
+        is_usual = self.start_offset <= OFFSET and self.start_yaw <= YAW
+        return is_usual or not self.jitter
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:

@@ -364,7 +364,8 @@ class Observer:
         self._joints: JointErrors | None = None
         if white.any() or held.any():
             self._joints = JointErrors(white, held, control_dt)
-        self._stages = [make(config, len(taxel_names)) for make in STAGES]
+        stages = [make(config, len(taxel_names)) for make in STAGES]
+        self._stages = [stage for stage in stages if stage is not None]
         self._past = Past(config.history), Past(config.history)
         entries = [  # term and name of each
             (term, f"{TERMS[term].what} {entry}")
@@ -406,13 +407,20 @@ class Observer:
         return np.concatenate(obs, dtype=np.float32, casting="same_kind")
 
 
-STAGES: list[Callable[[SensorConfig, int], Stage]] = [
-    lambda config, n: FalseReadings(config.taxel_false_on, config.taxel_false_off),
-    lambda config, n: Broken(
-        n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0
+STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
+    lambda config, n: (
+        FalseReadings(config.taxel_false_on, config.taxel_false_off)
+        if config.taxel_false_on or config.taxel_false_off
+        else None
     ),
-    lambda config, n: Delay(config.taxel_delay),
+    lambda config, n: (
+        Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
+        if config.taxel_dead or config.taxel_stuck
+        else None
+    ),
+    lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
 ]
-"""Makers of the stages that the readings (n,) of taxels pass, one after another: bits flip at random,
-a broken sensor says the same whatever it feels, and all of it is late.
+"""Makers of the stages that the readings (n,) of taxels pass, one after another, each None where it
+would change nothing: bits flip at random, a broken sensor says the same whatever it feels, and all of
+it is late.
 """

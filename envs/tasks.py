@@ -403,9 +403,10 @@ def _outcome(name: Outcome) -> Array:
 
 def _by_outcome(goals: Array, otherwise: Any, **rewards: Any) -> Array:
     """Return the rewards (...) of goals (..., n) by the outcomes they end in, or `otherwise`."""
-    outcomes = np.asarray(goals)[..., -1]
-    conditions = [outcomes == OUTCOMES[name] for name in rewards]  # type: ignore[index]
-    return np.select(conditions, [*rewards.values()], otherwise)
+    outcomes, result = np.asarray(goals)[..., -1], otherwise
+    for name, reward in rewards.items():
+        result = np.where(outcomes == OUTCOMES[name], reward, result)  # type: ignore[index]
+    return result
 
 
 def _distance(a: Any, b: Any) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -212,9 +213,14 @@ class ClosingAction:
 
     def _closing(self, targets: Array) -> Array:
         """Return how far each group is closed, by the first of its actuators that moves."""
-        way = self.closed - self.open
-        first = [group[way[group] != 0][0] for group in self.groups]
-        return (targets[first] - self.open[first]) / way[first]
+        first = self._first
+        return (targets[first] - self.open[first]) / (self.closed - self.open)[first]
+
+    @cached_property
+    def _first(self) -> Array:
+        """The first actuator of each group that moves, (n_groups,)."""
+        moves = self.closed != self.open
+        return np.array([group[moves[group]][0] for group in self.groups], np.int64)
 
 
 class Point(NamedTuple):
