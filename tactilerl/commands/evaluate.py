@@ -120,10 +120,18 @@ def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
     noise = "without exploration noise; --stochastic plays with it"
     caption = "with exploration noise" if about["stochastic"] else noise
     table = Table("", "mean", "95 % interval", title=title, caption=caption)
-    for name, value in summary.items():
-        if isinstance(value, list) or (name in FAULTS and not value):
+    # Where success ends the episode, the steps held say the same.
+    is_told = {name: bool(summary.get(name)) for name in FAULTS}
+    is_told["mean_held_steps"] = summary.get("mean_held_steps", 0) > 1
+    # The success rate comes first.
+    for name, value in sorted(
+        summary.items(), key=lambda item: item[0] != "success_rate"
+    ):
+        if isinstance(value, list) or not is_told.get(name, True):
             continue
-        interval = " – ".join(f"{bound:.3f}" for bound in summary.get(f"{name}_ci", ()))
-        shown = f"{value:.3f}" if isinstance(value, float) else str(value)
+        digits = 3 if "rate" in name else 1
+        bounds = summary.get(f"{name}_ci", ())
+        interval = " – ".join(f"{bound:.{digits}f}" for bound in bounds)
+        shown = f"{value:.{digits}f}" if isinstance(value, float) else str(value)
         table.add_row(name.replace("_", " "), shown, interval)
     return table
