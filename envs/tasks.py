@@ -45,7 +45,7 @@ class TaskConfig:
     """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
     the palm. It may be a range, such as 0.01..0.05."""
     giver_force: Annotated[float, "(0, 5]"] = 0.32
-    """handover: with how much the giver presses the object against the hand, N."""
+    """handover: force with which the giver presses the object against the hand, N."""
     goal_height: Annotated[float, "(0, 1]"] = 0.08
     """reach-goal: height of the goal above where the object rests, m; where objects differ, above where
     the largest of the first kind rests, so that the goal does not tell the object's size."""

@@ -16,11 +16,11 @@ from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs
     "train": "train a policy (start here)",
-    "evaluate": "success rate of a trained run, with confidence intervals",
+    "evaluate": "play a trained policy: success rate with its confidence interval",
     "render": "draw a grasp with its taxels, or film a trained run",
     "env": "describe an environment, and check which of its taxels can fire",
-    "design": "where a hand's few taxels should go, before training",
-    "gate": "whether touch can make a difference in a scene, before training",
+    "design": "choose where a hand's few taxels should go, before training",
+    "gate": "check with scripted hands whether touch can help in a scene",
     "hand": "write the file of a hand from its model, with a grasp",
     "study": "train many runs from one file and compare them in a report",
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.table import Table
+from rich.table import Column, Table
 
 from ..envs import layouts
 from ..errors import InputError, input_errors
@@ -24,8 +24,8 @@ from ..terminal.console import console, progress
 
 ABOUT = """\
 Where should a hand's few taxels go? Plays each start of a handover once with a dense skin,
-chooses the taxels by which a hand succeeds that closes at the first touch, and judges them on
-other starts, without training.
+chooses the taxels with which a hand that closes at the first touch succeeds most often, and
+judges them on other starts, without training.
 
 examples:
   tactilerl design --scene handover_anywhere --taxels 4 --out four.toml
@@ -60,8 +60,10 @@ def main(args: list[str]) -> int:
         read.validate()
         if read.out is not None:
             if len(read.taxel_threshold) > 1:
-                found = f"found with {len(read.taxel_threshold)} of --taxel-threshold"
-                raise InputError(f"--out: {found}, allowed with one")
+                raise InputError(
+                    f"--out: found with {len(read.taxel_threshold)} of --taxel-threshold, allowed "
+                    "with one: the layouts of each threshold are others"
+                )
             files.require(read.out, read.numbers, read.overwrite)
         with progress("playing starts", read.n_played, not read.json) as tick:
             result = design(read, read.workers or free_cores(), tick)
@@ -119,7 +121,7 @@ def _print(result: Design) -> None:
     for row in result.rows:
         table.add_row(*_cells(row, result))
     console.print(table)
-    if flags_given.taxel_threshold:
+    if len(flags_given.taxel_threshold) > 1:
         uses = {use.threshold or 0.0: (use.touch, use.blind) for use in result.uses}
         console.print(gate.where_touch_stops(uses))
     for row in result.rows:
@@ -166,7 +168,8 @@ def _bound(row: Row, reached: float, bound: float) -> str:
 
 def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in the frames of the links."""
-    table = Table("taxel", "link", "place, mm", "normal", "radius, mm")
+    headings = ("taxel", "link", "place, mm", "normal", "radius, mm")
+    table = Table(*(Column(heading, overflow="fold") for heading in headings))
     columns = result.chosen[max(result.chosen)]
     for point in result.pool.skin.take(columns).points:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)

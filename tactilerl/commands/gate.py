@@ -35,10 +35,10 @@ Row = tuple[GraspConfig, gate.HandResult]
 
 @dataclasses.dataclass(frozen=True)
 class GateFlags:
-    """Flags of `tactilerl gate`, besides the scene's."""
+    """Options of gate itself."""
 
     env: str = "mpl"
-    """The hand."""
+    """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     starts: Annotated[int, "[1, inf)"] = 200
     """Number of initial states from which the chosen scripted hands are compared."""
     search: Annotated[int, "[1, inf)"] = 20

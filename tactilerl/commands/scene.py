@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class SceneFlag:
-    """Scene at which the other flags start."""
+    """A scene, which the other flags change."""
 
     scene: str = ""
     """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags override it."""

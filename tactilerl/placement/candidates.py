@@ -47,25 +47,25 @@ class DesignFlags:
     skin: str = "4mm"
     """Candidates: the spacing of a grid over all surfaces, a layout, or a layout file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
-    """Radius of the taxels, mm, of which no two then overlap along the skin; default: the hand's own,
-    or that of the layout."""
+    """Radius of your sensors, mm. With it, no two chosen ones overlap along the skin. Default: the
+    hand's own, or that of the layout."""
     margin: Annotated[float, "[0, 50]"] = 0.0
-    """Least distance of a taxel from each edge of its segment, mm, so that a housing fits."""
+    """Smallest distance of a taxel from each edge of its segment, mm, so that a housing fits."""
     only: tuple[str, ...] = ()
     """Only on these segments, digits, or segments of digits, such as palm distal index.middle."""
     leave_out: tuple[str, ...] = ()
-    """Not on these, named likewise."""
+    """Not on these, named as for --only."""
     keep: str = ""
     """A layout whose taxels the hand has already; they count."""
     taxel_threshold: tuple[Newtons, ...] = ()
-    """Force from which a taxel fires, N; of several, each has rows of its own, and what is said is at
-    which touch stops paying; default: the scene's, or any touch."""
+    """Force from which a taxel fires, N; default: the scene's, or any touch. With several, the table
+    has rows for each, and a sentence says from which on touch no longer helps."""
     survives: str = ""
-    """Maximise success after the worst loss of any one taxel, digit or segment, or of any one group of
-    a file: taxel, digit, segment, or a .toml file with a [[group]] for each."""
+    """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
+    file with a [[group]] for each."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """Share by which the hand is closed while it waits; of several, each set of taxels has what works
-    best for it; default: the scene's."""
+    """How far the hand is closed while it waits, from 0 to 1 (closed); default: the scene's. With
+    several, the best is used for each set of taxels."""
     beside: tuple[str, ...] = tuple("123456")
     """Layouts to compare with."""
     starts: Annotated[int, "[1, 250000]"] = 200

@@ -38,8 +38,8 @@ class RunOptions:
     total_timesteps: Annotated[int, "[1, 1e15]"] = 500_000
     """Environment steps of the whole run, over all processes."""
     workers: WorkerCount = None
-    """Episodes played side by side in each process, which learns on as many cores, up to two; default:
-    one per free core. Results do not depend on it."""
+    """Episodes played side by side in each process, which also learns on up to two of these cores;
+    default: one per free core. Results do not depend on it."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of the whole run."""
     out: str | None = None

@@ -16,8 +16,9 @@ from . import reflexes
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
 MIN_GAIN = (
-    0.3  # difference of success rates from which touch, or a scene, tells anything
+    0.3  # difference of success rates from which touch, or a scene, says anything
 )
+USABLE = 0.9  # success of the sighted hand from which a scene is worth training in
 NO_FAULTS: dict[str, Any] = {
     **dataclasses.asdict(TaxelFaults()),
     "taxel_delay": 0,
@@ -143,9 +144,14 @@ def verdict(results: list[HandResult]) -> str:
             f"{blind.rate:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
         )
     gained = min(max(0.0, rates["touch"] - blind.rate), room)
+    caution = (
+        " Even with sight the hand often fails: improve the hand or the scene before you train."
+        if rates["sighted"] < USABLE
+        else ""
+    )
     return (
         f"Touch closes {gained:.2f} of the {room:.2f} gap between the best scripted hand without touch "
-        f"({blind.name}, {blind.rate:.2f}) and the sighted one ({rates['sighted']:.2f})."
+        f"({blind.name}, {blind.rate:.2f}) and the sighted one ({rates['sighted']:.2f}).{caution}"
     )
 
 
@@ -165,4 +171,7 @@ def where_touch_stops(rates: Mapping[float, tuple[float, float]]) -> str:
                 f"Touch stops paying at a threshold of {threshold:g} N: touch succeeds in "
                 f"{touch:.2f} of the starts, the best hand without in {blind:.2f}."
             )
-    return f"Touch pays at every one of these thresholds, up to {max(rates):g} N."
+    return (
+        f"Touch pays at every one of these thresholds, up to {max(rates):g} N: it succeeds in at "
+        f"least {MIN_GAIN:g} more of the starts than the best hand without."
+    )

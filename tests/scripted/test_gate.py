@@ -29,6 +29,7 @@ def found(**rates):
         (0.3, 0.2, 0.9, 1.0, ["Touch closes 0.60 of the 0.70 gap", "(timed, 0.30)"]),
         (0.2, 0.8, 0.9, 0.95, ["This scene cannot tell: ", "(joints)", "0.80", "0.95"]),
         (0.4, 0.3, 0.2, 1.0, ["closes 0.00 of the 0.60 gap"]),
+        (0.1, 0.0, 0.4, 0.5, ["closes 0.30 of the 0.40 gap", "Even with sight the hand often fails"]),
     ],
 )
 def test_the_verdict_says_what_touch_can_win_of_what_there_is(timed, joints, touch, sighted, words):
