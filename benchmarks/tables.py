@@ -20,7 +20,7 @@ from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.learners import scaling
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import forces, hands, hard_cases, hold_verdict, speed_vs_error
-from benchmarks.studies import gates, losses, setups_study, study_tables
+from benchmarks.studies import gates, learner_tables, losses, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -55,6 +55,8 @@ PRINTED: dict[str, Callable[[], None]] = {
     "hands": _of("hands", hands.show),
     "hard cases": _of("hard_cases", hard_cases.show_short),
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
+    # The study taxel_scale has no data yet.
+    **{k: show for k, show in learner_tables.TABLES.items() if k.startswith("robust")},
     **losses.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,

@@ -13,7 +13,7 @@ from tactilerl.statistics import Array
 from tactilerl.study.records import Record
 
 from benchmarks.command import markdown
-from benchmarks.studies.study_tables import load, mean, number, paired, title
+from benchmarks.studies.study_tables import load, mean, paired, title
 
 DEAD = 0.05  # a run whose second half is below learned nothing
 THRESHOLD = 0.7
@@ -124,20 +124,9 @@ def scales(setup: str, name: str = "taxel_scale") -> None:
     markdown(f"| taxels | {columns} |", rows)
 
 
-def undone(name: str = "robust") -> None:
-    """Print how many updates of the actor were undone, by group."""
-    rows = []
-    for key, runs in grouped(name).items():
-        counts = [np.nansum(record.column("undone")) for record in runs]
-        if key.startswith(("ppo", "make")):
-            rows.append((SETUPS[key], len(runs), number(float(np.mean(counts)), ".1f")))
-    markdown("| runs | seeds | updates undone per run |", rows)
-
-
 TABLES = {
     "robust reached": reached,
     "robust eight": eight,
-    "robust undone": undone,
     "taxel scale ppo": lambda: scales("ppo"),
     "taxel scale ddpg_her": lambda: scales("ddpg_her"),
     "taxel scale paper": lambda: scales("paper"),
