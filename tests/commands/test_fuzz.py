@@ -29,7 +29,7 @@ TRAIN += ["--total-timesteps", "1"]
 FLAGS = {"recipe", "resume", "out", "layout", "task", "object_size", "timestep"}
 FLAGS = sorted(validation.names(RunOptions) | validation.names(PPOConfig) | FLAGS)
 WORDS = ["", "-1", "0", "1", "0.5", "nan", "-inf", "1e400", "9" * 400, "9" * 5000, "x", "None", "[]"]
-WORDS += ["../x:Id", "no.module:Id", ":", "é", "\udcff", "x" * 5000, "../..", "true", "0x10", "meta"]
+WORDS += ["..x:Id", "no.module:Id", ":", "é", "\udcff", "x" * 5000, "../..", "true", "0x10", "meta"]
 VALUES = [None, True, -1, 0, 1.5, 10**400, 2**63, float("inf"), float("nan"), "", "x", "../x:Id"]
 VALUES += [[], {}, [[]], ["x"], {"x": 1}, "x" * 5000]
 LAYOUT = """description = "mine"
