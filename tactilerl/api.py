@@ -116,9 +116,8 @@ class Learner:
         """
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.require(RunOptions, vars(run))
-        if (
-            os.getpid() != self._process
-        ):  # its workers are in the other one, which it would wait for
+        # Its workers are in the process that made it, and it would wait for them.
+        if os.getpid() != self._process:
             raise ValueError(
                 "learn: found a process that was forked from the one that made this learner, "
                 "allowed the same one; make a learner here"

@@ -151,8 +151,9 @@ def locked(folder: Path) -> Iterator[None]:
                 held.enter_context(filelock.FileLock(path, timeout=LOCK_WAIT))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")
-            for left in folder.rglob("." + 16 * "[0-9a-f]" + LEFTOVER):
-                left.unlink(missing_ok=True)
+            left = "." + 16 * "[0-9a-f]" + LEFTOVER
+            for path_left in (*folder.glob(left), *folder.glob(f"experience/{left}")):
+                path_left.unlink(missing_ok=True)
             try:
                 yield
             except InputError:

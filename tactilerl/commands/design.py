@@ -62,7 +62,7 @@ def main(args: list[str]) -> int:
             if len(read.taxel_threshold) > 1:
                 raise InputError(
                     f"--out: found with {len(read.taxel_threshold)} of --taxel-threshold, allowed "
-                    "with one: the layouts of each threshold are others"
+                    "with one: each threshold has layouts of its own"
                 )
             files.require(read.out, read.numbers, read.overwrite)
         with progress("playing starts", read.n_played, not read.json) as tick:

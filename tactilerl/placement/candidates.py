@@ -33,7 +33,7 @@ INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 
 @dataclass(frozen=True)
 class DesignFlags:
-    """Choose which taxels may be chosen, by what, and from which starts."""
+    """Options of a design: which taxels may be chosen, by what, and from which starts."""
 
     scene: tuple[str, ...] = ("handover_anywhere",)
     """One or more named scenes, or scenes' .toml files, in which an object is handed over; all count
@@ -131,8 +131,8 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
         for field, usual in INTACT.items():
             if (value := getattr(config, field)) != usual:
                 raise ValueError(
-                    f"scene: found {name} with {field} {value}, allowed {usual}: which taxel it "
-                    "strikes no recording knows; --survives designs for the worst loss"
+                    f"scene: found {name} with {field} {value}, allowed {usual}: a recording cannot "
+                    "know which taxels that strikes; --survives designs for the worst loss"
                 )
     return env, configs
 

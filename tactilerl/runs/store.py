@@ -295,9 +295,8 @@ def parse(text: str) -> tuple[list[Row], str]:
     reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     rows, before = list[Row](), (-1, 0)
     try:
-        if [*(reader.fieldnames or FIRST_COLUMNS)][
-            : len(FIRST_COLUMNS)
-        ] != FIRST_COLUMNS:
+        columns = [*(reader.fieldnames or FIRST_COLUMNS)]
+        if columns[: len(FIRST_COLUMNS)] != FIRST_COLUMNS:
             raise ValueError(
                 f"its header does not begin with {','.join(FIRST_COLUMNS)}"
             )

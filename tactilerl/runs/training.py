@@ -139,8 +139,11 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
 
 
 def _begun(checkpoint: Checkpoint) -> int:
-    """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet."""
-    run_dir = checkpoint.run_dir
+    """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet.
+
+    InputError where the goal was made smaller, and the run is beyond it already.
+    """
+    run_dir, learner = checkpoint.run_dir, checkpoint.learner
     if not run_dir.checkpoint_file.exists():
         if run_dir.rows() or any(run_dir.experience_folder.glob("*.pt")):
             raise InputError(
@@ -148,7 +151,14 @@ def _begun(checkpoint: Checkpoint) -> int:
                 "begin another run with another --out"
             )
         return 0
-    return checkpoint.restore()
+    epoch, goal = checkpoint.restore(), learner.total_timesteps
+    planned = run_dir.read_config().run.total_timesteps
+    if epoch and goal < min(learner.env_steps, planned):
+        raise InputError(
+            f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "
+            "allowed more: they count from the run's beginning"
+        )
+    return epoch
 
 
 def epochs(learner: Learner, epoch: int) -> Iterator[Row]:

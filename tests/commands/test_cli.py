@@ -204,6 +204,14 @@ class TestResume:
         more = ["train", "--resume", "run", "--anneal-lr", "--total-timesteps", "240"]
         fails_with(capsys, more, "total_timesteps: found 240")
 
+    def test_a_goal_that_is_behind_the_run_is_refused_and_changes_nothing(self, capsys):
+        main([*TOY, "--total-timesteps", "240", "--out", "run"])
+        before = Path("run/config.json").read_bytes()
+        again = ["train", "--resume", "run", "--total-timesteps"]
+        fails_with(capsys, [*again, "100"], "found 100 for a run that has made 2", "from the run's beg")
+        assert Path("run/config.json").read_bytes() == before
+        assert "nothing to do" in printed(capsys, [*again, "240"])
+
     def test_a_recipe_is_where_the_other_flags_start(self, capsys):
         main([*TOY, "--recipe", "steady", "--gamma", "0.9", "--total-timesteps", "1", "--out", "run"])
         chosen = json.loads(Path("run/config.json").read_text())["learner"]

@@ -186,12 +186,14 @@ class TestWriting:
             with files.replacing(tmp_path / "x"):
                 names += [path.name for path in tmp_path.glob(".*.tmp")]
         assert len(set(names)) == 2
-        left, own = Path("run", names[0]), Path("run/.mine.tmp")
-        left.touch()
-        own.touch()
+        left, own, deep = Path("run", names[0]), Path("run/.mine.tmp"), Path("run/mine", names[1])
+        deep.parent.mkdir()
+        for path in (left, own, deep):
+            path.touch()
         assert main([*RESUME, "--total-timesteps", "240"]) == 0
         assert not left.exists()
         assert own.exists()
+        assert deep.exists()
 
     def test_where_nothing_can_be_written(self, tmp_path):
         Path("file").touch()
