@@ -109,7 +109,7 @@ def _print(result: Design) -> None:
         early = ", ".join(pool.early)
         console.print(f"left out, since they fire before anything comes: {early}")
     loss = layouts.short(flags_given.survives or "taxel")
-    table = Table(
+    table = _wrapping(
         "taxels", "which", "success", "felt", f"after the worst loss ({loss})"
     )
     if flags_given.start_closing:
@@ -128,6 +128,11 @@ def _print(result: Design) -> None:
         if row.chosen_from is not None and row.bound is not None:
             console.print(_bound(row, row.chosen_from, row.bound))
     console.print(_places(result))
+
+
+def _wrapping(*headings: str) -> Table:
+    """Return a table that breaks long names and does not cut them."""
+    return Table(*(Column(heading, overflow="fold") for heading in headings))
 
 
 def _cells(row: Row, result: Design) -> list[str]:
@@ -168,8 +173,7 @@ def _bound(row: Row, reached: float, bound: float) -> str:
 
 def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in the frames of the links."""
-    headings = ("taxel", "link", "place, mm", "normal", "radius, mm")
-    table = Table(*(Column(heading, overflow="fold") for heading in headings))
+    table = _wrapping("taxel", "link", "place, mm", "normal", "radius, mm")
     columns = result.chosen[max(result.chosen)]
     for point in result.pool.skin.take(columns).points:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
