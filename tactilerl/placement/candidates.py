@@ -64,8 +64,8 @@ class DesignFlags:
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """How far the hand is closed while it waits, from 0 to 1 (closed); default: the scene's. With
-    several, the best is used for each set of taxels."""
+    """Share by which the hand is closed while it waits (1: closed); default: the scene's. With several,
+    the best is used for each set of taxels."""
     beside: tuple[str, ...] = tuple("123456")
     """Layouts to compare with."""
     starts: Annotated[int, "[1, 250000]"] = 200
