@@ -1,4 +1,4 @@
-"""Print what recipe "robust" reaches, and what the scale of the taxels does.
+"""Print what recipe "robust" reaches, there and elsewhere, and what the scale of the taxels does.
 
 python -m benchmarks learner_tables
 """
@@ -6,14 +6,13 @@ python -m benchmarks learner_tables
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 from tactilerl.statistics import Array
 from tactilerl.study.records import Record
 
 from benchmarks.command import markdown
-from benchmarks.studies.study_tables import load, mean, paired, title
+from benchmarks.studies.study_tables import in_common, load, mean, paired, title
 
 DEAD = 0.05  # a run whose second half is below learned nothing
 THRESHOLD = 0.7
@@ -28,6 +27,18 @@ SETUPS = {
     "make_train off": "`make train`, no touch",
 }
 """Groups of runs of the pilot, as its table calls them."""
+ELSEWHERE = {
+    "lift_shadow_ppo": "lift, Shadow Hand, PPO",
+    "lift_mpl_ppo": "lift, MPL hand, PPO",
+    "lift_shadow_ddpg_her": "lift, Shadow Hand, DDPG+HER",
+    "lift_mpl_ddpg_her": "lift, MPL hand, DDPG+HER",
+    "pendulum": "Pendulum-v1, PPO, return",
+    "reacher": "Reacher-v5, PPO, return",
+    "panda_reach": "PandaReach-v3, DDPG+HER",
+    "panda_push": "PandaPush-v3, DDPG+HER",
+}
+WITHOUT_SUCCESS = ("pendulum", "reacher")
+"""Tasks that the recipe was not made for; their score is success, or the return."""
 
 
 def group_of(record: Record) -> str:
@@ -107,26 +118,46 @@ def eight(name: str = "robust") -> None:
 
 
 def scales(setup: str, name: str = "taxel_scale") -> None:
-    """Print mean success by layout and by scale of the taxels."""
+    """Print mean success over the run by layout and by scale of the taxels."""
 
     def key(record: Record) -> str:
         flags = record.run.flags
-        return f"{record.run.setup}|{flags['layout']}|{flags['taxel_scale']}"
+        return f"{record.run.setup.removesuffix('_each')} {flags['layout']} {flags['taxel_scale']}"
 
-    groups = {k: v for k, v in grouped(name, key).items() if k.startswith(f"{setup}|")}
-    layouts = list(dict.fromkeys(k.split("|")[1] for k in groups))
-    kinds = list(dict.fromkeys(k.split("|")[2] for k in groups))
+    groups = {k: v for k, v in grouped(name, key).items() if k.startswith(f"{setup} ")}
+    layouts, kinds = ([*dict.fromkeys(k.split()[i] for k in groups)] for i in (1, 2))
     rows = []
     for layout in layouts:
-        cells = [groups.get(f"{setup}|{layout}|{kind}", []) for kind in kinds]
+        cells = [groups.get(f"{setup} {layout} {kind}", []) for kind in kinds]
         rows.append((title(layout), *(mean(part(one, 0.0) for one in cell) for cell in cells)))
-    columns = " | ".join(re.sub("none", "as they are", kind) for kind in kinds)
+    columns = " | ".join("as they are" if kind == "none" else kind for kind in kinds)
     markdown(f"| taxels | {columns} |", rows)
+
+
+def elsewhere(name: str = "elsewhere") -> None:
+    """Print recipe robust against steady in other tasks, in pairs of one seed."""
+    runs, rows = load(name)[1], []
+    for setup, label in ELSEWHERE.items():
+        form = ".1f" if setup in WITHOUT_SUCCESS else ".2f"
+        column = "mean_return" if setup in WITHOUT_SUCCESS else "success_rate"
+        robust, steady = (
+            {
+                one.run.seed: float(np.nanmean(one.column(column)))
+                for one in runs
+                if one.run.setup == setup and one.run.group == recipe and one.state == "done"
+            }
+            for recipe in ("robust", "steady")
+        )
+        _, (a, b) = in_common([robust, steady])
+        if len(a):
+            rows.append((label, len(a), mean(b, form), mean(a, form), mean(a - b, f"+{form}")))
+    markdown("| task | pairs | steady | robust | robust − steady |", rows)
 
 
 TABLES = {
     "robust reached": reached,
     "robust eight": eight,
+    "elsewhere": elsewhere,
     "taxel scale ppo": lambda: scales("ppo"),
     "taxel scale ddpg_her": lambda: scales("ddpg_her"),
     "taxel scale paper": lambda: scales("paper"),
