@@ -59,9 +59,11 @@ def grouped(name: str, key=group_of) -> dict[str, list[Record]]:
 
 
 def part(record: Record, begin: float) -> float:
-    """Return mean success from a fraction of a run's steps on."""
+    """Return mean success from a fraction of a run's steps on; a rate is of the steps up to its own."""
     steps, rates = record.curve
-    return float(rates[steps > begin * steps[-1]].mean())
+    before = np.r_[0.0, steps[:-1]]
+    weights = np.clip(steps - np.maximum(before, begin * steps[-1]), 0.0, None)
+    return float(np.average(rates, weights=weights))
 
 
 def smooth(record: Record) -> tuple[Array, Array]:
