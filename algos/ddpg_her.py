@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from . import Array, Count, Fraction, NotNegative, Positive32, rollout
-from .learner import Learner, restore
+from .learner import Learner, LearnerConfig, restore
 from .mpi import Communicator
 from .networks import MLP, flushed_denormals, require_hidden
 from .normalizer import MIN_STD, Normalizer, Scaling
@@ -45,7 +45,7 @@ MAX_CUT, MAX_AT_FLOOR = 0.01, 0.5
 
 
 @dataclass(frozen=True)
-class DDPGHERConfig:
+class DDPGHERConfig(LearnerConfig):
     """Hyperparameters; defaults are the paper's (Methods, MuJoCo set-up) unless noted."""
 
     hidden: tuple[int, ...] = (256, 256, 256)

@@ -7,7 +7,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -24,6 +24,22 @@ B = TypeVar("B")
 def progress_remaining(env_steps: int, total_timesteps: int) -> float:
     """Return what is left of a run, from 1 to 0."""
     return max(0.0, 1.0 - env_steps / total_timesteps)
+
+
+class LearnerConfig:
+    """Hold a learner's hyperparameters; a subclass is a frozen dataclass, whose fields become flags."""
+
+    @property
+    def anneals(self) -> bool:
+        """True if the course of a run depends on how long it will be."""
+        return False
+
+    def acting(self, remaining: float) -> Self:
+        """Return a copy with annealed exploration noise; `remaining` falls from 1 to 0 over a run."""
+        return self
+
+    def validate(self) -> None:
+        """Raise ValueError naming what does not go together; ranges are in the types."""
 
 
 class Learner(ABC):

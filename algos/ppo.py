@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from . import Array, Count, Fraction, Positive32, rollout
-from .learner import Learner, restore
+from .learner import Learner, LearnerConfig, restore
 from .mpi import Communicator
 from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
 from .normalizer import Normalizer
@@ -54,7 +54,7 @@ MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside fl
 
 
 @dataclass(frozen=True)
-class PPOConfig:
+class PPOConfig(LearnerConfig):
     """Hyperparameters; defaults are the paper's (Methods, PyBullet set-up) unless noted."""
 
     hidden: tuple[int, ...] = (256, 256, 256)
@@ -114,10 +114,6 @@ class PPOConfig:
     undo_silent: bool = False
     """Do not update the actor from epochs in which every episode fails alike, and undo the update after
     which they do: a policy that meets no reward would go on learning from noise."""
-
-    def acting(self, remaining: float) -> PPOConfig:
-        """Return these choices: unlike DDPG+HER's, PPO's noise is not annealed."""
-        return self
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""

@@ -173,7 +173,7 @@ class RunConfig:
         """Return what makes it this run: plain values without those that may change on resume."""
         parts: dict[str, Any] = json.loads(json.dumps(self.as_dict()))
         free = FREE_ON_RESUME
-        if getattr(self.learner, "anneals", False):  # with the length of the run
+        if self.learner.anneals:  # with the length of the run
             free = free - {"total_timesteps"}
         for name in free:
             del parts["run"][name]
