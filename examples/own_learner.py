@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from tactilerl.algos import ALGORITHMS, LearnerSpec, rollout
+from tactilerl.algos import ALGORITHMS, Count, LearnerSpec, Positive32, rollout
 from tactilerl.algos.learner import Learner, LearnerConfig, restore
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.networks import MLP
+from tactilerl.algos.networks import MLP, require_hidden
 from tactilerl.algos.policy import (
     FlatInputs,
     Noise,
@@ -32,21 +32,22 @@ from tactilerl.algos.rollout import PlayEpisode, summary
 
 @dataclass(frozen=True)
 class CEMConfig(LearnerConfig):
-    """Hyperparameters; each is a flag of `tactilerl train`."""
+    """Hyperparameters; each is a flag of `tactilerl train`, whose range is in its type."""
 
     hidden: tuple[int, ...] = (8,)
     """Units of each hidden layer of the policy."""
-    population: int = 40
+    population: Count = 40
     """Candidates per epoch."""
-    n_elite: int = 8
+    n_elite: Count = 8
     """Candidates that the next ones are drawn around."""
-    n_episodes: int = 2
+    n_episodes: Count = 2
     """Episodes that each candidate plays."""
-    std: float = 0.5
+    std: Positive32 = 0.5
     """Standard deviation of the first candidates' weights."""
 
     def validate(self) -> None:
         """Raise ValueError where values do not go together."""
+        require_hidden(self.hidden)
         if not 2 <= self.n_elite <= self.population:
             raise ValueError(
                 f"n_elite: found {self.n_elite}, allowed 2 to {self.population}"

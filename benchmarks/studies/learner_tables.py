@@ -37,8 +37,7 @@ ELSEWHERE = {
     "panda_reach": "PandaReach-v3, DDPG+HER",
     "panda_push": "PandaPush-v3, DDPG+HER",
 }
-WITHOUT_SUCCESS = ("pendulum", "reacher")
-"""Tasks that the recipe was not made for; their score is success, or the return."""
+"""Tasks that the recipe was not made for; their score is success, or the return where they say so."""
 
 
 def group_of(record: Record) -> str:
@@ -58,12 +57,15 @@ def grouped(name: str, key=group_of) -> dict[str, list[Record]]:
     return groups
 
 
-def part(record: Record, begin: float) -> float:
-    """Return mean success from a fraction of a run's steps on; a rate is of the steps up to its own."""
-    steps, rates = record.curve
+def part(record: Record, begin: float, column: str = "success_rate") -> float:
+    """Return the mean of a column from a fraction of a run's steps on, by steps.
+
+    A row is of the steps up to its own.
+    """
+    steps, values = record.column("env_steps"), record.column(column)
     before = np.r_[0.0, steps[:-1]]
     weights = np.clip(steps - np.maximum(before, begin * steps[-1]), 0.0, None)
-    return float(np.average(rates, weights=weights))
+    return float(np.average(values, weights=weights))
 
 
 def smooth(record: Record) -> tuple[Array, Array]:
@@ -138,16 +140,11 @@ def scales(setup: str, name: str = "taxel_scale") -> None:
 
 def elsewhere(name: str = "elsewhere") -> None:
     """Print recipe robust against steady in other tasks, in pairs of one seed."""
-    runs, rows = load(name)[1], []
+    runs, rows = [record for record in load(name)[1] if record.state == "done"], []
     for setup, label in ELSEWHERE.items():
-        form = ".1f" if setup in WITHOUT_SUCCESS else ".2f"
-        column = "mean_return" if setup in WITHOUT_SUCCESS else "success_rate"
+        column, form = ("mean_return", ".1f") if "return" in label else ("success_rate", ".2f")
         robust, steady = (
-            {
-                one.run.seed: float(np.nanmean(one.column(column)))
-                for one in runs
-                if one.run.setup == setup and one.run.group == recipe and one.state == "done"
-            }
+            {r.run.seed: part(r, 0.0, column) for r in runs if r.run.place[::2] == (setup, recipe)}
             for recipe in ("robust", "steady")
         )
         _, (a, b) = in_common([robust, steady])

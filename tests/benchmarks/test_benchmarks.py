@@ -7,6 +7,8 @@ import sys
 import pytest
 from benchmarks.physics import hard_cases, hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
+from benchmarks.studies.learner_tables import part
+from tactilerl.study.records import Record
 
 
 @pytest.mark.pybullet
@@ -54,3 +56,12 @@ def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_p
     assert max(row["speed"] for row in rows.values()) > 0.01
     assert rows["actions that are not finite"]["refused"] >= steps // 5
     assert {row["steps"] for row in rows.values()} == {steps}
+
+
+def test_a_rate_counts_for_the_steps_up_to_its_own():
+    rates = {100: 0.0, 200: 1.0, 400: 0.5}
+    rows = [{"env_steps": str(steps), "success_rate": str(rate)} for steps, rate in rates.items()]
+    record = Record(None, "done", "", {}, rows)
+    assert part(record, 0.0) == pytest.approx((100 * 1.0 + 200 * 0.5) / 400)
+    assert part(record, 0.375) == pytest.approx((50 * 1.0 + 200 * 0.5) / 250)
+    assert part(record, 0.8) == pytest.approx(0.5)
