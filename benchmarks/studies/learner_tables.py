@@ -121,14 +121,15 @@ def eight(name: str = "robust") -> None:
     markdown("| PPO, 8 chosen − layout 1 | pairs | mean success over the run |", rows)
 
 
+def scale_of(record: Record) -> str:
+    """Return set-up, layout and scale of the taxels of a run."""
+    flags = record.run.flags
+    return f"{record.run.setup.removesuffix('_each')} {flags['layout']} {flags['taxel_scale']}"
+
+
 def scales(setup: str, name: str = "taxel_scale") -> None:
     """Print mean success over the run by layout and by scale of the taxels."""
-
-    def key(record: Record) -> str:
-        flags = record.run.flags
-        return f"{record.run.setup.removesuffix('_each')} {flags['layout']} {flags['taxel_scale']}"
-
-    groups = {k: v for k, v in grouped(name, key).items() if k.startswith(f"{setup} ")}
+    groups = {k: v for k, v in grouped(name, scale_of).items() if k.startswith(f"{setup} ")}
     layouts, kinds = ([*dict.fromkeys(k.split()[i] for k in groups)] for i in (1, 2))
     rows = []
     for layout in layouts:
@@ -136,6 +137,21 @@ def scales(setup: str, name: str = "taxel_scale") -> None:
         rows.append((title(layout), *(mean(part(one, 0.0) for one in cell) for cell in cells)))
     columns = " | ".join("as they are" if kind == "none" else kind for kind in kinds)
     markdown(f"| taxels | {columns} |", rows)
+
+
+def gap(name: str = "taxel_scale") -> None:
+    """Print how far layout 1 is ahead of layout 5 with each scale, in pairs of one seed."""
+    groups, rows = grouped(name, scale_of), []
+    for setup, label in {"paper": "the paper's PPO, MPL hand", "ppo": "`robust`, Allegro Hand"}.items():
+        runs = [groups.get(f"{setup} {n} {kind}", []) for kind in ("none", "block") for n in (1, 5)]
+        seeds, (many, few, many_block, few_block) = in_common(
+            [{record.run.seed: part(record, 0.0) for record in group} for group in runs]
+        )
+        if len(seeds):
+            as_they_are, block = many - few, many_block - few_block
+            cells = (mean(one, "+.2f") for one in (as_they_are, block, as_they_are - block))
+            rows.append((label, len(seeds), *cells))
+    markdown("| layout 1 − layout 5 | seeds | as they are | block | difference |", rows)
 
 
 def elsewhere(name: str = "elsewhere") -> None:
@@ -160,5 +176,6 @@ TABLES = {
     "taxel scale ppo": lambda: scales("ppo"),
     "taxel scale ddpg_her": lambda: scales("ddpg_her"),
     "taxel scale paper": lambda: scales("paper"),
+    "taxel scale gap": gap,
 }
 """What prints each table of the docs."""
