@@ -2,8 +2,8 @@
 
 All do the same two things and differ in when they go over to the second. Where an object is handed
 over they wait, then close; an active hand does not wait still, but closes and opens. Elsewhere they
-approach and close, then lift. Each has two values that a search may choose: when to go over, and how
-far to close.
+approach and close, then lift. A search may choose when to go over; besides, how far to close for a
+lift, and how long an active hand closes.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ..envs.state import Array
 BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
 FINAL_ACTIONS = 3  # actions before the end of an episode
-TRIAL_ACTIONS = 3  # actions that an active hand closes, and as many that it opens
+SQUEEZES = (3, 5, 8)  # actions that an active hand closes, and as many that it opens
 SENSES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
     "time": (range(6, 51, 3), (0, 2, 5)),
     "joints": (np.geomspace(2.0, 100.0, 15).tolist(), (-0.3, -0.1, -0.03)),
-    "active": (np.geomspace(0.01, 0.3, 15).tolist(), ()),
+    "active": (np.geomspace(0.01, 0.16, 5).tolist(), ()),
     "touch": (range(1, 16), (2, 6, 12)),
     "sight": (np.linspace(-0.053, 0.003, 15).tolist(), (0, 2, 5)),
 }
@@ -47,6 +47,8 @@ class Reflex:
     """Reading of the sense from which the hand goes over, in the unit of the method of `_Senses`."""
     closing: float
     """Share of the way that the hand closes, to its scripted grasp or to the closed hand; 1: all."""
+    squeeze: int = 0
+    """Actions for which an active hand closes before it opens for as many; 0: it waits instead."""
 
     def play(
         self,
@@ -67,9 +69,10 @@ class Reflex:
             latest -= len(parts[1])
         first, second = (chain(part, repeat(part[-1])) for part in parts)
         targets: Iterator[Array] = first
-        if self.sense == "active":
+        if self.squeeze:
+            senses.squeeze = self.squeeze
             targets = cycle(
-                [parts[1][-1]] * TRIAL_ACTIONS + [parts[0][-1]] * TRIAL_ACTIONS
+                [parts[1][-1]] * self.squeeze + [parts[0][-1]] * self.squeeze
             )
         is_over = False
         while not is_over:
@@ -95,7 +98,7 @@ class _Senses:
             )
         self._touching = env.palm_skin[2] - env.shape.half_size[2]
         self.lifts = env.task.giver is None
-        self.n_first = 0
+        self.n_first = self.squeeze = 0
         self._obs: list[Array] = []
         self.add(obs)
 
@@ -152,10 +155,10 @@ class _Senses:
 
         It is in rad and m, and 0 but right after a test squeeze.
         """
-        if self.step % (2 * TRIAL_ACTIONS) != TRIAL_ACTIONS:
+        if self.step % (2 * self.squeeze) != self.squeeze:
             return 0.0
         now, first = (
-            self._obs[step][self._joints] for step in (self.step, TRIAL_ACTIONS)
+            self._obs[step][self._joints] for step in (self.step, self.squeeze)
         )
         return float(np.abs(now - first).mean())
 
@@ -164,7 +167,10 @@ def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
     """Return the fifteen reflexes of a sense to choose from; none if the scene has no use for it."""
     of_handover, of_lift = SENSES[sense]
     if env.task.giver is not None:
-        return [Reflex(sense, threshold, 1.0) for threshold in of_handover]
+        squeezes = SQUEEZES if sense == "active" else (0,)
+        return [
+            Reflex(sense, *values) for values in product(of_handover, (1.0,), squeezes)
+        ]
     return [Reflex(sense, *values) for values in product(of_lift, CLOSINGS)]
 
 

@@ -65,14 +65,22 @@ class TestReflexes:
         env, steps = envs.make(scene="handover", simulator="pybullet", touch="absent"), []
         step_to = env.step_to
         env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
-        assert Reflex("active", 0.03, 1.0).play(env, 1)
+        assert Reflex("active", 0.03, 1.0, squeeze=3).play(env, 1)
         is_closed = [not np.array_equal(targets, env.hand.start_targets()) for targets in steps]
         came = env.task.sets_off
-        cycle = [True] * reflexes.TRIAL_ACTIONS + [False] * reflexes.TRIAL_ACTIONS
+        cycle = [True] * 3 + [False] * 3
         assert is_closed[:came] == (cycle * 9)[:came]
         went = next(i for i in range(len(steps)) if is_closed[i : i + 4] == [True] * 4)
-        assert came < went + reflexes.TRIAL_ACTIONS <= came + env.task.stays + 2
+        assert came < went + 3 <= came + env.task.stays + 2
         assert all(is_closed[went:])
+
+    def test_a_longer_squeeze_tells_more(self):
+        env = envs.make(scene="handover", touch="absent")
+        won = [
+            sum(Reflex("active", 0.04, 1.0, squeeze).play(env, start) for start in range(10_000, 10_020))
+            for squeeze in (min(reflexes.SQUEEZES), max(reflexes.SQUEEZES))
+        ]
+        assert won[0] <= 5 and won[1] >= 9
 
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
