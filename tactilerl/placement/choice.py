@@ -68,7 +68,7 @@ class Use(NamedTuple):
     touch: float
     """Success of a hand that feels with all candidates."""
     blind: float
-    """Success of the best scripted hand without touch."""
+    """Success of the best scripted hand that waits still, without touch."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
 
 
 def _blind(pool: Pool, workers: int, wait: float | None) -> float:
-    """Return the success of the best scripted hand without touch, the mean over scenes."""
+    """Return the success of the best hand that waits still, without touch, the mean over scenes."""
     n = min(pool.flags.starts, 100)
     examine = partial(
         gate.examine, pool.env, starts=n, search=max(1, n // 20), seed=0, workers=workers,
