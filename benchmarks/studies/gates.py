@@ -21,6 +21,7 @@ from benchmarks.command import count, earlier, interval, markdown, parser, write
 HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
 LAYOUTS = tuple("123456")
 LAYOUT_SCENES = ("handover", "handover_fingers")
+CHOSEN = "docs/data/chosen/anywhere_8.toml"
 SIX = """
 description = "six force-sensing resistors of 8 mm"
 
@@ -72,8 +73,12 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
             for force, threshold in itertools.product(FORCES, THRESHOLDS)
         ],
         "layouts": [
-            (f"{name}, layout {layout}", name, {"layout": layout})
-            for name, layout in itertools.product(LAYOUT_SCENES, LAYOUTS)
+            *(
+                (f"{name}, layout {layout}", name, {"layout": layout})
+                for name, layout in itertools.product(LAYOUT_SCENES, LAYOUTS)
+            ),
+            ("handover_anywhere, layout 1", "handover_anywhere", {}),
+            ("handover_anywhere, 8 chosen", "handover_anywhere", {"layout": CHOSEN}),
         ],
     }
 

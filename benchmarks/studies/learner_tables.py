@@ -151,7 +151,7 @@ def gap(name: str = "taxel_scale") -> None:
             as_they_are, block = many - few, many_block - few_block
             cells = (mean(one, "+.2f") for one in (as_they_are, block, as_they_are - block))
             rows.append((label, len(seeds), *cells))
-    markdown("| layout 1 − layout 5 | seeds | as they are | block | difference |", rows)
+    markdown("| layout 1 − layout 5 | seeds | as they are | block | as they are − block |", rows)
 
 
 def elsewhere(name: str = "elsewhere") -> None:

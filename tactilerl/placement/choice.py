@@ -68,7 +68,7 @@ class Use(NamedTuple):
     touch: float
     """Success of a hand that feels with all candidates."""
     blind: float
-    """Success of the best scripted hand that waits still, without touch."""
+    """Success of the best scripted hand that waits and goes by its joints or sight."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
     if not any(gate.pays(use.touch, use.blind) for use in uses):
         best = max(uses, key=lambda use: use.touch)
         raise ValueError(
-            f"scene: touch cannot help here: a hand without succeeds in {best.blind:.2f} of the "
-            f"starts, one that feels with all candidates in {best.touch:.2f}"
+            f"scene: touch cannot help here: a hand that goes by its joints or sight succeeds in "
+            f"{best.blind:.2f} of the starts, one that feels with all candidates in {best.touch:.2f}"
         )
     tests = _played(pool, TEST, flags.test_starts, workers, tick)
     designs = [
@@ -150,7 +150,7 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
 
 
 def _blind(pool: Pool, workers: int, wait: float | None) -> float:
-    """Return the success of the best hand that waits still, without touch, the mean over scenes."""
+    """Return the success of the best hand that goes by its joints or sight, the mean over scenes."""
     n = min(pool.flags.starts, 100)
     examine = partial(
         gate.examine, pool.env, starts=n, search=max(1, n // 20), seed=0, workers=workers,

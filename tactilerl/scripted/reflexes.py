@@ -2,8 +2,8 @@
 
 All do the same two things and differ in when they go over to the second. Where an object is handed
 over they wait, then close; an active hand does not wait still, but closes and opens. Elsewhere they
-approach and close, then lift. A search may choose when to go over; besides, how far to close for a
-lift, and how long an active hand closes.
+approach and close, then lift. A search may choose when to go over, and also how far to close (in a
+lift) or how long each squeeze lasts (of an active hand).
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ class _Senses:
 
         It is in rad and m, and 0 but right after a test squeeze.
         """
-        if self.step % (2 * self.squeeze) != self.squeeze:
+        if not self.squeeze or self.step % (2 * self.squeeze) != self.squeeze:
             return 0.0
         now, first = (
             self._obs[step][self._joints] for step in (self.step, self.squeeze)
