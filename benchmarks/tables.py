@@ -55,8 +55,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "hands": _of("hands", hands.show),
     "hard cases": _of("hard_cases", hard_cases.show_short),
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
-    # The study elsewhere has no data yet.
-    **{k: show for k, show in learner_tables.TABLES.items() if k != "elsewhere"},
+    **learner_tables.TABLES,
     **losses.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,

@@ -29,6 +29,7 @@ SETUPS = {
 """Groups of runs of the pilot, as its table calls them."""
 ELSEWHERE = {
     "lift_shadow_ppo": "lift, Shadow Hand, PPO",
+    "lift_shadow_ppo_quiet": "the same, robust with `--action-variance 0.05`",
     "lift_mpl_ppo": "lift, MPL hand, PPO",
     "lift_shadow_ddpg_her": "lift, Shadow Hand, DDPG+HER",
     "lift_mpl_ddpg_her": "lift, MPL hand, DDPG+HER",
@@ -160,8 +161,12 @@ def elsewhere(name: str = "elsewhere") -> None:
     for setup, label in ELSEWHERE.items():
         column, form = ("mean_return", ".1f") if "return" in label else ("success_rate", ".2f")
         robust, steady = (
-            {r.run.seed: part(r, 0.0, column) for r in runs if r.run.place[::2] == (setup, recipe)}
-            for recipe in ("robust", "steady")
+            {
+                r.run.seed: part(r, 0.0, column)
+                for r in runs
+                if (r.run.setup, r.run.flags["recipe"]) == (name, recipe)
+            }
+            for name, recipe in ((setup, "robust"), (setup.removesuffix("_quiet"), "steady"))
         )
         _, (a, b) = in_common([robust, steady])
         if len(a):
