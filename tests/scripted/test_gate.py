@@ -76,11 +76,14 @@ class TestReflexes:
 
     def test_a_longer_squeeze_tells_more(self):
         env = envs.make(scene="handover", touch="absent")
-        won = [
-            sum(Reflex("active", 0.04, 1.0, squeeze).play(env, start) for start in range(10_000, 10_020))
-            for squeeze in (min(reflexes.SQUEEZES), max(reflexes.SQUEEZES))
-        ]
-        assert won[0] <= 5 and won[1] >= 9
+        starts = range(10_000, 10_020)
+        shortest, longest = min(reflexes.SQUEEZES), max(reflexes.SQUEEZES)
+        won = {
+            squeeze: sum(Reflex("active", 0.04, 1.0, squeeze).play(env, start) for start in starts)
+            for squeeze in (shortest, longest)
+        }
+        assert won[shortest] <= 5
+        assert won[longest] >= 9
 
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
