@@ -164,9 +164,9 @@ def elsewhere(name: str = "elsewhere") -> None:
             {
                 r.run.seed: part(r, 0.0, column)
                 for r in runs
-                if (r.run.setup, r.run.flags["recipe"]) == (name, recipe)
+                if (r.run.setup, r.run.flags["recipe"]) == (of, recipe)
             }
-            for name, recipe in ((setup, "robust"), (setup.removesuffix("_quiet"), "steady"))
+            for of, recipe in ((setup, "robust"), (setup.removesuffix("_quiet"), "steady"))
         )
         _, (a, b) = in_common([robust, steady])
         if len(a):

@@ -138,7 +138,7 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
     if not any(gate.pays(use.touch, use.blind) for use in uses):
         best = max(uses, key=lambda use: use.touch)
         raise ValueError(
-            f"scene: touch cannot help here: a hand that goes by its joints or sight succeeds in "
+            "scene: touch cannot help here: a hand that goes by its joints or sight succeeds in "
             f"{best.blind:.2f} of the starts, one that feels with all candidates in {best.touch:.2f}"
         )
     tests = _played(pool, TEST, flags.test_starts, workers, tick)
