@@ -19,7 +19,7 @@ ALLOWED = {
     "dask_jobqueue": ("tactilerl/study/executors.py",),
     "matplotlib": ("benchmarks/", "tactilerl/study/figures.py"),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
-    "tyro": ("tactilerl/terminal/", "tactilerl/runs/arguments.py", "tactilerl/commands/"),
+    "tyro": ("tactilerl/terminal/", "tactilerl/commands/"),
 }
 
 
