@@ -414,7 +414,11 @@ class PPO(Learner):
         goes back to the policy of that epoch. Before any epoch differed, and where all episodes
         succeed, there is nothing to undo.
         """
-        returns = [sum(episode.rewards) for episode in self._episodes]
+        # What the physics cut off is a failure, whatever its return.
+        whole = [e for e in self._episodes if not e.faults["diverged"]]
+        returns = [sum(episode.rewards) for episode in whole]
+        if not returns:
+            return False, 0
         parts: dict[str, Any] = {
             "actor": self.actor,
             "gaussian": self.gaussian,

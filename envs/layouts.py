@@ -151,7 +151,7 @@ class PatchTable:
     def patch(self) -> Patch:
         """Return the patch that it says; ValueError unless it has either offsets or an array."""
         is_array = self.pitch_mm is not None or self.rows * self.columns > 1
-        if (self.offsets_mm is None) != is_array or (is_array and not self.pitch_mm):
+        if (not self.offsets_mm) != is_array or (is_array and not self.pitch_mm):
             raise ValueError(
                 "patch: needs either offsets_mm or rows, columns, pitch_mm"
             )

@@ -353,8 +353,11 @@ class Observer:
         `taxel_names` are those in the observation, `is_boolean` says that they read 0 or 1, `first` is
         the shape of the scene's first object.
         """
+        where = f"hand {hand.name}: observation"
         for term in hand.observation:
-            require_one_of(TERMS, term, f"hand {hand.name}: observation")
+            require_one_of(TERMS, term, where)
+        if not hand.observation:
+            raise ValueError(f"{where}: found none, allowed: {', '.join(TERMS)}")
         self.hand = hand
         self._terms = [*hand.observation, *["targets"] * config.observe_targets]
         self._sight = Sight(config, first)

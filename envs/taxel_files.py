@@ -48,7 +48,7 @@ class SensorTable:
     file: str
     links: tuple[str, ...]
     position: Place = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    quaternion: tuple[Near, Near, Near, Near] = (1.0, 0.0, 0.0, 0.0)
     radius: Radius | None = None
     threshold_N: Newtons | None = None
 
@@ -122,7 +122,7 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
                 yield Point(
                     link,
                     tuple(position.tolist()),
-                    tuple((turn @ each.normal).tolist()),
+                    tuple((turn @ each.normal).tolist()) if each.normal else (),
                     sensor.radius or each.radius,
                     f"{link}.{stem}[{i}]",
                     sensor.threshold_N,

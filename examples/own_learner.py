@@ -83,15 +83,17 @@ class CEM(Learner):
         mean = parameters_to_vector(self.actor.parameters()).detach()
         noise = rng.standard_normal((config.population, len(mean)), dtype=np.float32)
         self.candidates = mean + self.spread["std"] * torch.from_numpy(noise)
-        self.returns, episodes = [], []
-        for weights in self.candidates:
+        key = (self.seed, 0, rollout.TRAIN, self.epochs)
+        mine = []  # of several MPI ranks, each plays a part of the candidates
+        for weights in self.candidates[self.comm.rank :: self.comm.size]:
             actor = copy.deepcopy(self.actor)
             vector_to_parameters(weights, actor.parameters())
-            key = (self.seed, 0, rollout.TRAIN, self.epochs)
             job = PlayEpisode[Any](greedy(self.spaces, actor), key)
-            played = [*self.workers.play(job, range(config.n_episodes))]
-            self.returns.append(np.mean([sum(episode.rewards) for episode in played]))
-            episodes += played
+            mine.append([*self.workers.play(job, range(config.n_episodes))])
+        parts, size = self.comm.all_gather(mine), self.comm.size
+        played = [parts[i % size][i // size] for i in range(config.population)]
+        self.returns = [value(each) for each in played]
+        episodes = [episode for each in played for episode in each]
         self.epochs += 1
         stats = summary(episodes)
         self.env_steps += int(stats.pop("steps"))
@@ -111,6 +113,13 @@ class CEM(Learner):
         actor = new_actor(config.hidden, spaces, torch.Generator())
         restore({"actor": actor}, saved)
         return greedy(spaces, actor)
+
+
+def value(episodes: list[rollout.Episode[Any]]) -> float:
+    """Return what a candidate reached: its mean return, or the worst where the physics failed."""
+    if any(episode.faults["diverged"] for episode in episodes):
+        return -np.inf
+    return float(np.mean([sum(episode.rewards) for episode in episodes]))
 
 
 def greedy(spaces: Spaces, actor: MLP) -> Policy:

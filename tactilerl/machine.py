@@ -20,8 +20,8 @@ WorkerCount = Annotated[int, "[1, 256]"] | None
 def free_cores(local_ranks: int = 1) -> int:
     """Return how many cores this process may use, at least 1, beside the other MPI ranks here.
 
-    A container's quota counts, other processes do not: what a run does by default does not
-    depend on what else runs.
+    A container's quota counts, but is not divided among ranks. Other processes do not count: what
+    a run does by default does not depend on what else runs.
     """
     from joblib import cpu_count  # slow to import
 

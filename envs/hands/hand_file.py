@@ -117,7 +117,9 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "another: ": [
             joint.name
             for joint in parts.raw.joints
-            if joint.name in parts.driven and mount.is_unranged(joint)
+            if joint.name in parts.driven
+            and mount.is_unranged(joint)
+            and mount.is_endless(parts.spec.actuator(parts.driven[joint.name]))
         ],
     }
     return tuple(text + ", ".join(names) for text, names in notes.items() if names)
@@ -207,7 +209,7 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
 
     Of a hand with a thumb it is between that and the others, closed as far as an object just fits in.
     """
-    if "thumb" not in parts.digits or len(parts.digits) == 2:
+    if "thumb" not in parts.digits or len(parts.digits) <= 2:
         half = posed(model, parts.pose(0.5))
         return np.asarray(parts.tips(half).mean(axis=0))
     thumb = list(parts.digits).index("thumb")

@@ -19,6 +19,10 @@ PACKAGE = "package://"
 MOST_BODIES, MOST_GEOMS = 1_000, 5_000
 LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
 MAX_RADIANS = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
+WORLD_FLAGS = sum(
+    int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{what}"))
+    for what in ("GRAVITY", "CONTACT", "CONSTRAINT", "ACTUATION", "SENSOR")
+)
 MIN_INERTIA = 1e-9  # kg m²: what a URDF rounds to zero
 
 
@@ -36,6 +40,7 @@ def read(path: Path) -> mujoco.MjSpec:
         if is_urdf or len(files) > 1:
             text = ElementTree.tostring(root, encoding="unicode")
         spec = mujoco.MjSpec.from_string(text)
+    _take_world(spec)
     n_bodies, n_geoms = len(spec.bodies), len(spec.geoms)
     if n_bodies > MOST_BODIES or n_geoms > MOST_GEOMS:
         raise ValueError(
@@ -44,6 +49,8 @@ def read(path: Path) -> mujoco.MjSpec:
         )
     spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
+    for number, body in enumerate(spec.bodies):
+        body.name = body.name or f"body {number}"
     for number, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or f"{actuator.target} {number}"
         figures = [*actuator.gear, *actuator.gainprm, *actuator.biasprm]
@@ -56,6 +63,15 @@ def read(path: Path) -> mujoco.MjSpec:
     for mesh in spec.meshes if is_urdf else ():  # scans are seldom closed
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     return spec
+
+
+def _take_world(spec: mujoco.MjSpec) -> None:
+    """Remove what a model says about the world around it, which a scene has of its own."""
+    for name in ("gravity", "wind", "density", "viscosity", "disableactuator"):
+        setattr(spec.option, name, getattr(EMPTY_SPEC.option, name))
+    spec.option.disableflags &= ~WORLD_FLAGS
+    spec.compiler.settotalmass = EMPTY_SPEC.compiler.settotalmass
+    spec.memory = EMPTY_SPEC.memory
 
 
 def parsed(path: Path) -> tuple[Element, list[Path]]:

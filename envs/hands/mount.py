@@ -194,8 +194,9 @@ class Mount:
         spec = model_file.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
-        for element in (*spec.bodies, *spec.joints, *spec.geoms):
-            if element.name in RESERVED:
+        sites = (site for site in spec.sites if site.name in (OBJECT, GIVER))
+        for element in (*spec.bodies, *spec.joints, *spec.geoms, *sites):
+            if element.name in (*RESERVED, GIVER):
                 raise ValueError(
                     f"model: found a part called {element.name!r}, which something else in every scene "
                     "is called; rename it"
@@ -249,6 +250,7 @@ class Mount:
             *spec.cameras,
             *spec.keys,
             *(mesh for mesh in spec.meshes if mesh.name not in used),
+            *filter(is_held, spec.equalities),
             *(g for g in spec.worldbody.geoms if alone or g.type in flat),
         ):
             spec.delete(element)
@@ -295,10 +297,7 @@ class Mount:
         for actuator in spec.actuators:
             for name in arms(spec, actuator):
                 joint = spec.joint(name)
-                if (
-                    is_unranged(joint)
-                    and actuator.ctrlrange[0] == actuator.ctrlrange[1]
-                ):
+                if is_unranged(joint) and is_endless(actuator):
                     end = DEFAULT_RANGES[joint.type] / _unit(joint)
                     joint.range = [-end, end]
                     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -374,6 +373,12 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
     return loops_closed
 
 
+def is_held(equality: mujoco.MjsEquality) -> bool:
+    """Return whether an equality fixes a body to the world."""
+    ends = {equality.name1, equality.name2}
+    return equality.type in LOOPS and bool(ends & {"", "world"})
+
+
 def is_loose(body: mujoco.MjsBody) -> bool:
     """Return whether a body moves by itself, or is moved from outside."""
     return bool(body.mocap) or any(joint.type == FREE_JOINT for joint in body.joints)
@@ -399,6 +404,12 @@ def is_unranged(joint: mujoco.MjsJoint) -> bool:
     return joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or bool(
         is_auto and joint.range[0] == joint.range[1]
     )
+
+
+def is_endless(actuator: mujoco.MjsActuator) -> bool:
+    """Return whether an actuator's control has no range."""
+    is_free = actuator.ctrllimited == mujoco.mjtLimited.mjLIMITED_FALSE
+    return bool(is_free or actuator.ctrlrange[0] == actuator.ctrlrange[1])
 
 
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
@@ -528,10 +539,13 @@ def servo_figures(
     gain = servo.gainprm[0]
     arm = float(gain / -servo.biasprm[1])  # force on the joint by the servo's
     damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
-    limit = gain * np.ptp(moved.range)
+    limit = gain * np.ptp(moved.range if moved.limited[0] else servo.ctrlrange)
     if servo.forcelimited[0]:
         limit = servo.forcerange[1]
-    return float(gain * arm), float(damping), float(limit) * arm
+    limit = float(limit) * arm
+    if model.jnt_actfrclimited[moved.id]:  # as by a URDF's effort
+        limit = min(limit, float(model.jnt_actfrcrange[moved.id, 1]))
+    return float(gain * arm), float(damping), limit
 
 
 def hold(

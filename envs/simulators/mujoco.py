@@ -89,7 +89,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     with model_file.quiet():
         spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
     for number, sensor in enumerate(scene.sensors):
-        _add_touch_sensor(spec, f"sensor{number}", sensor)
+        _add_touch_sensor(spec, f"touch of taxel {number}", sensor)
     return spec
 
 

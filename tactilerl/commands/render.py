@@ -72,7 +72,8 @@ def main(args: list[str]) -> int:
             needed = "without" if read.run else "with"
             raise InputError(f"{flag}: allowed only {needed} a run folder")
     if read.run:
-        hold_seconds = _hold_seconds(read, scene)
+        names = {arg.partition("=")[0].replace("_", "-") for arg in args}
+        hold_seconds = _hold_seconds(read, scene, "--hold-seconds" in names)
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
         if read.video is None and len(read.run) == 1 and has_screen:
             _watch(read.run[0], read.episodes, hold_seconds)
@@ -91,14 +92,13 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _hold_seconds(read: RenderFlags, scene: GraspConfig) -> float:
+def _hold_seconds(read: RenderFlags, scene: GraspConfig, is_given: bool) -> float:
     """Return the length of hold tests, s; a run keeps everything else of its scene."""
     usual = setup(read.env)
     if replace(scene, hold_seconds=usual.hold_seconds) != usual:
         raise InputError(
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
-    is_given = scene.hold_seconds != usual.hold_seconds
     return scene.hold_seconds if is_given else render.HOLD_SECONDS
 
 

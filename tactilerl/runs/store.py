@@ -129,7 +129,6 @@ class RunDir:
 
     def settled(self, config: RunConfig) -> RunConfig:
         """Return the configuration of a run here; InputError where another run is here already."""
-        config = dataclasses.replace(config, folder=self.path)
         if not os.path.exists(self.config_file):  # False for any name
             return config
         saved = self.read_config()
@@ -138,14 +137,16 @@ class RunDir:
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
                 "makes another run)"
             )
-        return dataclasses.replace(config, hand=saved.hand)
+        return dataclasses.replace(config, folder=self.path, hand=saved.hand)
 
     def create(self) -> None:
         """Make the folder where there is none; InputError where it holds something else."""
         with writable(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
             names = {path.name for path in self.path.iterdir()}
-        others = {name for name in names if not name.endswith((LEFTOVER, ".lock"))}
+        # A run that was killed before config.json was there leaves its lock and copies.
+        ours = {HAND_COPY, LAYOUT_COPY} if ".lock" in names else set()
+        others = {n for n in names - ours if not n.endswith((LEFTOVER, ".lock"))}
         if others and not self.config_file.exists():
             raise InputError(
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another "
@@ -159,7 +160,8 @@ class RunDir:
 
         A run that goes on after `epoch` with other versions keeps the record of those before.
         """
-        origins = self.record()["provenance"] if self.config_file.exists() else []
+        begins = not self.config_file.exists()
+        origins = [] if begins else self.record()["provenance"]
         now = machine.origin(epoch, env_steps)
         same = {name: now[name] for name in ("versions", "commit")}
         if not origins or not origins[-1].items() >= same.items():
@@ -169,7 +171,7 @@ class RunDir:
             with replacing(copy) as file:
                 file.write(_hand_file(hands.file(env)))
             digest = hands.digest(str(copy))
-        if config.layout_file and not (self.path / LAYOUT_COPY).exists():
+        if config.layout_file and (begins or not (self.path / LAYOUT_COPY).exists()):
             with replacing(self.path / LAYOUT_COPY) as file:
                 file.write(layouts.load(str(config.layout_file)).toml().encode())
         content = {"format": FORMAT, **config.as_dict(), "ranks": ranks}

@@ -349,6 +349,19 @@ class TestUndo:
             assert (self.parts(ppo) == before) == (len(undone) == 1)
         assert undone == [0, 1, 0, 1]
 
+    def test_an_episode_that_the_physics_cut_off_is_one_of_the_failures(self):
+        env = Switch()
+        ppo = make_ppo(vector.start(lambda: env), undo_silent=True)
+        ppo.collect()
+        before = self.parts(ppo)
+        ppo.update()
+        env.threshold = 2.0
+        ppo.collect()
+        cut_off = ppo._episodes[0]
+        cut_off.faults["diverged"], cut_off.rewards = 1, [0.5]
+        assert ppo.update()["undone"] == 1
+        assert self.parts(ppo) == before
+
     def test_resumes_bit_for_bit_in_silence(self):
         def run(epochs, state=None):
             env = Switch()

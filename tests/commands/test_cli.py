@@ -318,6 +318,16 @@ class TestBadInput:
         assert Path("mine/thesis.txt").read_text() == "years of work"
         assert len(list(Path("mine").iterdir())) == 1
 
+    def test_a_run_that_was_killed_before_its_config_was_written_begins_anew(self):
+        Path("run").mkdir()
+        for name in (".lock", "layout.toml", "hand.toml"):
+            Path("run", name).touch()
+        taxel = '[[taxel]]\nlink = "robot0:ffdistal"\nposition = [0, -0.00705, 0.017]\n'
+        Path("few.toml").write_text(taxel)
+        short = ["--total-timesteps", "1", "--max-episode-steps", "3", "--out", "run"]
+        assert main(["train", "--env", "shadow", "--layout", "few.toml", *FAST, *short]) == 0
+        assert "robot0:ffdistal" in Path("run/layout.toml").read_text()
+
     def test_full_disk_stops_with_one_line_and_keeps_the_checkpoint(self, capsys):
         """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
         main([*REACH, "--total-timesteps", "1", "--out", "run"])
@@ -407,6 +417,16 @@ class TestOtherCommands:
         # The same start, but for the hand unrolled in the corner, and the word above.
         assert np.abs(touch[0, head:-200] - blind[0, head:-200]).mean() < 3
         assert np.abs(touch[0, :head] - blind[0, :head]).mean() > 1
+
+    @pytest.mark.parametrize(
+        ("flags", "seconds"), [([], 2.0), (["--hold-seconds", "20"], 20.0), (["--hold_seconds=3"], 3.0)]
+    )
+    def test_films_have_short_hold_tests_unless_one_asks_for_others(self, flags, seconds, monkeypatch):
+        lengths = []
+        film = "tactilerl.commands.render._film"
+        monkeypatch.setattr(film, lambda read, hold_seconds: lengths.append(hold_seconds))
+        assert main(["render", "run", "--video", "x.mp4", *flags]) == 0
+        assert lengths == [seconds]
 
     @pytest.mark.parametrize("command", [*COMMANDS, *(f"study {part}" for part in PARTS)])
     def test_every_command_has_help(self, command, capsys):

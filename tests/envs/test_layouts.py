@@ -103,6 +103,7 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "offsets_mm: found [0], allowed a list"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "allowed [-50, 50]"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[]"), "needs either offsets_mm or rows"),
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
         ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found a number of"),
         ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),
@@ -111,6 +112,10 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         (
             "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\nposition = [1e8, 0, 0]\n",
             "sensor 1.position: found 100000",
+        ),
+        (
+            "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\nquaternion = [inf, 0, 0, 0]\n",
+            "sensor 1.quaternion: found inf",
         ),
     ],
 )

@@ -211,6 +211,22 @@ class TestServos:
         assert len(hand.actuated) == 7
         assert "joints have the library's servos" in hand.notes[0]
 
+    @pytest.mark.parametrize("limited", ["", 'ctrllimited="false" '])
+    def test_a_servo_moves_a_joint_without_a_range(self, made, simulator, limited):
+        free = [servo.replace("/>", f' ctrlrange="0 1.5" {limited}/>') for servo in ALL]
+        path = made(with_more(servos(*free)).replace(' range="0 1.5"', ""))
+        env = made_env(path, simulator)
+        assert [*env.hand.action_map.half_range[3:]] == pytest.approx([1.57 if limited else 0.75] * 4)
+        assert len(env.hand.notes) == bool(limited)
+        targets = env.hand.start_targets()
+        targets[3:] = 0.1
+        assert [*reached(env, targets, 20).values()][3:] == pytest.approx([0.1] * 4, abs=0.02)
+
+    def test_a_joint_has_no_more_force_than_it_bears(self, made):
+        weak = 'range="0 1.5" actuatorfrcrange="-0.01 0.01"'
+        env = made_env(made(with_more(servos(*ALL)).replace('range="0 1.5"', weak)), "pybullet")
+        assert [*env.simulator._forces[3:]] == pytest.approx([0.01] * 4)
+
     def test_weak_servos_are_named(self, made):
         weak = [servo.replace('"5"', '"0.05"') for servo in ALL]
         (note,) = hands.get(made(with_more(servos(*weak)))).notes
@@ -290,6 +306,7 @@ NO_HANDS = [
     (on_palm(EMPTY), TOML, r'leave them out: drop = \["e0", "e1"\]'),
     (on_palm("<freejoint/>").replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \("),
     (on_palm('<body name="object"/>'), TOML, "found a part called 'object'"),
+    (on_palm('<site name="giver"/>'), TOML, "found a part called 'giver'"),
     (
         on_palm(f"<replicate count='1001'><body>{PALM}</body></replicate>"),
         TOML,
@@ -350,6 +367,32 @@ class TestModels:
         exclude = '<contact><exclude body1="l_tip" body2="palm"/></contact>'
         model = with_more(exclude).replace(FINGERS, fingers(pad))
         assert hands.get(made(model)).welded["l_tip"].link == "l_2"
+
+    def test_what_a_model_says_about_the_world_is_left_out(self, made):
+        world = (
+            '<compiler settotalmass="0.5"/><option gravity="0 0 9" density="1000" viscosity="1">'
+            '<flag gravity="disable" contact="disable"/></option><size memory="20K"/>'
+            '<equality><weld body1="palm"/></equality>'
+        )
+        usual, changed = (
+            GraspEnv(path, setup(path, layout="5")).simulator.model
+            for path in (made(), made(with_more(world)))
+        )
+        for name in ("gravity", "density", "viscosity", "disableflags"):
+            assert np.all(getattr(changed.opt, name) == getattr(usual.opt, name)), name
+        assert (changed.body_mass == usual.body_mass).all()
+        assert (changed.neq, changed.narena) == (usual.neq, usual.narena)
+
+    def test_bodies_need_no_names(self, made, simulator):
+        model = MODEL.replace('name="l_1" ', "").replace('name="r_1" ', "")
+        at_start(made(model, TOML.replace('"l_1", ', "").replace('"r_1", ', "")), simulator)
+
+    def test_the_only_digit_may_be_a_thumb(self, made):
+        hands.get(made(toml=TOML.replace('index = { links = ["r_1", "r_2"], tip = [0.038, 0, 0] }', "")))
+
+    def test_a_hand_observes_something(self, made):
+        with pytest.raises(ValueError, match="observation: found none, allowed: "):
+            made_env(made(toml="observation = []\n" + TOML))
 
     def test_a_models_own_floor_is_left_out(self, made):
         floor = '<worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 0.08"/>'
@@ -504,6 +547,9 @@ class TestSensors:
         for targets in grasp(env):
             env.step_to(targets)
         assert env.taxel_readings().tolist() == [1, 1, 0]
+
+    def test_a_site_may_be_called_like_a_sensor_of_mujoco(self, made):
+        made_env(made(on_palm('<site name="sensor0"/>')), touch_rule="contact")
 
     def test_points_on_a_part_of_a_link_are_on_the_link(self, made):
         pad = '<body name="pad" pos="0.02 0 0" euler="0 1.5708 0"/>'
