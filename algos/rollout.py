@@ -197,7 +197,8 @@ def summary(
     """Return counts and means over episodes, those that diverged included.
 
     The success rate is that of the episodes whose environment says whether they succeeded, and of
-    those that could not begin; NaN where there are none. With `comm`, all is over the episodes of all ranks, each of which has some.
+    those that could not begin; NaN where there are none. With `comm`, all is over the episodes of
+    all ranks, each of which has some.
     """
     rows = []
     for episode in episodes:

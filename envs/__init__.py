@@ -50,8 +50,9 @@ def make(
         named = scenes.load(scene)
         name = name or named.env
         if not hands.is_hand(name):
-            found = f"env: found {name!r} with a scene"
-            raise ValueError(f"{found}, allowed: {hands.allowed()}")
+            raise ValueError(
+                f"env: found {name!r} with a scene, allowed: {hands.allowed()}"
+            )
         choices = {**named.on(name), **choices}
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")

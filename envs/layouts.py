@@ -201,8 +201,9 @@ class Layout:
         self._require_digits(hand)
         spots = list(islice(self.on_grids(hand), MAX_TAXELS + 1))
         if len(spots) + len(self.taxels) > MAX_TAXELS:
-            found = f"layout {self.name!r}: found more taxels on this hand"
-            raise ValueError(f"{found}, allowed up to {MAX_TAXELS:,}")
+            raise ValueError(
+                f"layout {self.name!r}: found more taxels on this hand, allowed up to {MAX_TAXELS:,}"
+            )
         placed = []
         for index, offset, point in spots:
             surface = hand.surfaces[index]
@@ -216,8 +217,9 @@ class Layout:
             with validation.blamed(f"layout {self.name!r}"):
                 require_distinct([point for point, *_ in placed])
         if not placed:
-            found = f"layout {self.name!r} puts no taxel"
-            raise ValueError(f"{found} on the {hand.name} hand")
+            raise ValueError(
+                f"layout {self.name!r} puts no taxel on the {hand.name} hand"
+            )
         every, surfaces, offsets = zip(*placed, strict=True)
         return Taxels(every, np.array(surfaces), np.array(offsets))
 
@@ -284,8 +286,9 @@ def _on_surface(
     on_link = [i for i, surface in enumerate(surfaces) if surface.link == point.link]
     if not on_link:
         links = ", ".join(dict.fromkeys(surface.link for surface in surfaces))
-        found = f"taxel {point.name!r}: found link {point.link!r}"
-        raise ValueError(f"{found}, allowed: {links}")
+        raise ValueError(
+            f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}"
+        )
     index = min(on_link, key=lambda i: np.linalg.norm(position - surfaces[i].centre))
     if not point.normal:
         outward = surfaces[index].skin(position)[1]

@@ -57,8 +57,9 @@ def make(kind: Kind, size: tuple[float, ...]) -> Shape:
     """
     allowed = {"box": "1 or 3", "sphere": "1", "cylinder": "1 or 2"}[kind]
     if str(len(size)) not in allowed.split():
-        found = f"found {len(size)} numbers"
-        raise ValueError(f"object_size: {found}, allowed for a {kind}: {allowed}")
+        raise ValueError(
+            f"object_size: found {len(size)} numbers, allowed for a {kind}: {allowed}"
+        )
     edges = {1: size * 3, 2: (size[0], size[0], size[-1]), 3: size}[len(size)]
     x, y, z = (edge / 2 for edge in edges)
     return Shape(kind, (x, y, z))

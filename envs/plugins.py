@@ -27,9 +27,8 @@ def import_modules(names: Iterable[str]) -> None:
         try:
             import_module(name)
         except (Exception, SystemExit) as error:  # anything may happen in it
-            reason = f"{type(error).__name__}: {error}"
             raise ValueError(
-                f"import: found {name!r}, which cannot be imported ({reason})"
+                f"import: found {name!r}, which cannot be imported ({type(error).__name__}: {error})"
             ) from error
         if name not in imported:
             imported.append(name)
@@ -50,8 +49,10 @@ def require_class(
     constants of another type.
     """
     if name not in known:
-        allowed = f"{', '.join(known)}, or what a module adds (--import MODULE)"
-        raise ValueError(f"{field}: found {name!r}, allowed: {allowed}")
+        raise ValueError(
+            f"{field}: found {name!r}, allowed: {', '.join(known)}, or what a module adds (--import "
+            "MODULE)"
+        )
     kind = known[name]
     where = f"{field}: {name!r} ({getattr(kind, '__name__', kind)})"
     if not (isinstance(kind, type) and issubclass(kind, base)):

@@ -109,8 +109,9 @@ def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     Raise ValueError where its file has none.
     """
     if not env.hand.grasps:
-        advice = "tactilerl env --env FILE --check finds one"
-        raise ValueError(f"hand {env.hand.name}: has no [[grasp]]; {advice}")
+        raise ValueError(
+            f"hand {env.hand.name}: has no [[grasp]]; tactilerl env --env FILE --check finds one"
+        )
     return min(
         env.hand.grasps, key=lambda grasp: abs(grasp.object_size - env.shape.width)
     )

@@ -178,9 +178,10 @@ class ReachGoal(Task):
     def validate(cls, config: TaskConfig) -> None:
         """Raise ValueError where goals may lie in the ground."""
         if not 0 <= config.goal_range <= config.goal_height:
-            found = f"found {config.goal_range} m"
-            allowed = f"from 0 to goal_height, {config.goal_height:g} m"
-            raise ValueError(f"goal_range: {found}, allowed {allowed}")
+            raise ValueError(
+                f"goal_range: found {config.goal_range} m, allowed from 0 to goal_height, "
+                f"{config.goal_height:g} m"
+            )
 
     def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw the goal above where the first object rests."""
@@ -326,13 +327,15 @@ class Handover(Task):
         least = cls.waits[1] + cls.stays + cls.settles
         steps, dt = config.max_episode_steps, config.control_dt
         if steps is not None and steps < least:
-            allowed = f"{least} or more in a handover"
-            raise ValueError(f"max_episode_steps: found {steps}, allowed {allowed}")
+            raise ValueError(
+                f"max_episode_steps: found {steps}, allowed {least} or more in a handover"
+            )
         beyond = config.giver_force / cls.giver.stiffness
         fastest = 2 * (cls.below + beyond) / cls.giver.speed / cls.stays
         if dt < fastest:
-            allowed = f"{fastest:.3f} s or more in a handover"
-            raise ValueError(f"control_dt: found {dt} s, allowed {allowed}")
+            raise ValueError(
+                f"control_dt: found {dt} s, allowed {fastest:.3f} s or more in a handover"
+            )
 
     def __init__(
         self, config: TaskConfig, hand: Hand, hand_timestep: float, first: Shape

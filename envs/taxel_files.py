@@ -61,8 +61,9 @@ def point(data: Any, number: int) -> Point:
     if table.normal is not None:
         length = float(np.linalg.norm(table.normal))
         if not 0.5 <= length <= 2.0:
-            found = f"found {list(table.normal)}, expected a unit vector"
-            raise ValueError(f"{where}: normal: {found}")
+            raise ValueError(
+                f"{where}: normal: found {list(table.normal)}, expected a unit vector"
+            )
         normal = tuple((np.array(table.normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
     return Point(
@@ -76,8 +77,9 @@ def require_distinct(points: Sequence[Point]) -> None:
     for number, each in enumerate(points, 1):
         for what, key in (("name", each.name), ("place", each[:2])):
             if (other := first.setdefault(key, number)) != number:
-                which = f"taxels {other} and {number}, {each.name}"
-                raise ValueError(f"{which}: found the same {what}")
+                raise ValueError(
+                    f"taxels {other} and {number}, {each.name}: found the same {what}"
+                )
 
 
 def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
@@ -91,8 +93,7 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         try:
             tables = list(READERS[path.suffix](text))
         except (LookupError, TypeError, AttributeError, RecursionError, csv.Error) as e:
-            reason = f"({type(e).__name__}: {e})"
-            raise ValueError(f"not of this format {reason}") from None
+            raise ValueError(f"not of this format ({type(e).__name__}: {e})") from None
         if not tables:
             raise ValueError("found no taxel")
         on_link = {} if link is None else {"link": link}
@@ -108,10 +109,12 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
     """
     files: list[str] = []
     for number, sensor in enumerate(sensors, 1):
-        where, file = f"sensor {number}", Path(sensor.file)
+        file = Path(sensor.file)
         if file.suffix not in READERS:
-            allowed = f"names that end in {', '.join(READERS)}"
-            raise ValueError(f"{where}: file: found {sensor.file!r}, allowed {allowed}")
+            raise ValueError(
+                f"sensor {number}: file: found {sensor.file!r}, allowed names that end in "
+                f"{', '.join(READERS)}"
+            )
         files.append(sensor.file)
         n_alike = files.count(sensor.file)
         stem = file.stem if n_alike == 1 else f"{file.stem} {n_alike}"
@@ -155,14 +158,16 @@ def _read_csv(text: str) -> Tables:
     heading = tuple(name.strip() for name in rows.fieldnames or ())
     rows.fieldnames = heading
     if {*heading} - {"link", "name"} != {*COLUMNS[1:]}:
-        expected = f"[link, ]{', '.join(COLUMNS[1:])}[, name]"
-        raise ValueError(f"found the columns {', '.join(heading)}, expected {expected}")
+        raise ValueError(
+            f"found the columns {', '.join(heading)}, expected [link, ]{', '.join(COLUMNS[1:])}[, name]"
+        )
     for line, row in enumerate(rows, 2):
         try:
             numbers = [float(row[column]) for column in COLUMNS[1:]]
         except (TypeError, ValueError):
-            found = f"found {list(row.values())}, expected numbers"
-            raise ValueError(f"line {line}: {found}") from None
+            raise ValueError(
+                f"line {line}: found {list(row.values())}, expected numbers"
+            ) from None
         place = {"position": numbers[:3], "normal": numbers[3:6], "radius": numbers[6]}
         link = {"link": row["link"].strip()} if "link" in heading else {}
         yield {**link, **place, "name": (row.get("name") or "").strip()}

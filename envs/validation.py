@@ -11,7 +11,7 @@ import difflib
 import json
 import os
 import tomllib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType, UnionType
@@ -46,7 +46,7 @@ INTEGER_LIMIT = 2**63  # whole numbers stay below, so that they have a place in 
 # -- names that somebody chose ---------------------------------------------------------------
 
 
-def require_known(names: Iterable[str], known: Iterable[str]) -> None:
+def require_known(names: Iterable[str], known: Iterable[str], where: str = "") -> None:
     """Raise ValueError naming the first of `names` that is not known.
 
     It says what may have been meant, and all that are known.
@@ -54,8 +54,9 @@ def require_known(names: Iterable[str], known: Iterable[str]) -> None:
     known = sorted(known)
     for name in names:
         if name not in known:
+            path = f"{where}.{name}" if where else name
             hint = nearest(name, known)
-            raise ValueError(f"{name}: unknown; {hint}allowed: {', '.join(known)}")
+            raise ValueError(f"{path}: unknown; {hint}allowed: {', '.join(known)}")
 
 
 def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
@@ -89,7 +90,7 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
     Raises ValueError naming the first key that is missing, unknown or of another type.
     """
     types = hints(kind)
-    only(require_type(table, dict, where), types, where or "the file")
+    require_known(require_type(table, dict, where), types, where)
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         is_needed = field.default is dataclasses.MISSING is field.default_factory
@@ -145,8 +146,7 @@ def require(kind: type, values: Mapping[str, Any]) -> None:
 def require_rising(span: tuple[float, ...], where: str) -> None:
     """Raise ValueError for an interval whose lower end does not come first."""
     if span[0] >= span[1]:
-        found = f"found {list(span)}, expected the lower end first"
-        raise ValueError(f"{where}: {found}")
+        raise ValueError(f"{where}: found {list(span)}, expected the lower end first")
 
 
 def allow_only_with(what: str, config: Any, *names: str) -> None:
@@ -186,8 +186,7 @@ def _required(value: Any, hint: Any, where: str) -> Any:
     elif kind is tuple and inner:
         types = inner[:1] * len(value) if ... in inner else inner
         if len(types) != len(value):
-            found = f"{where}: found {_short(value)}"
-            raise ValueError(f"{found}, allowed {words(hint)}")
+            raise ValueError(f"{where}: found {_short(value)}, allowed {words(hint)}")
         items = enumerate(zip(value, types, strict=True), 1)
         value = tuple(
             require_type(item, each, f"{where} {number}" if _is_table(each) else where)
@@ -297,21 +296,6 @@ def blamed(what: str) -> Iterator[None]:
         raise ValueError(f"{about}{error}") from None
 
 
-def only(data: Mapping[str, Any], allowed: Collection[str], where: str) -> None:
-    """Raise ValueError naming the first key that is not allowed."""
-    if unknown := sorted(set(data) - set(allowed)):
-        found = f"{where}: unknown key {unknown[0]!r}"
-        raise ValueError(f"{found}; allowed: {', '.join(sorted(allowed))}")
-
-
-def table(
-    data: Mapping[str, Any], key: str, allowed: Collection[str] | None = None
-) -> dict[str, Any]:
-    """Return a table of a file, empty where there is none.
-
-    Raise ValueError for something else, and for a key in it that is not allowed.
-    """
-    value = dict(require_type(data.get(key, {}), dict, key))
-    if allowed is not None:
-        only(value, allowed, key)
-    return value
+def table(data: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """Return a table of a file, empty where there is none; ValueError for something else."""
+    return dict(require_type(data.get(key, {}), dict, key))

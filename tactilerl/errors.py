@@ -24,8 +24,9 @@ def extra(name: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        missing = f"found no {error.name}, which this needs"
-        raise InputError(f"{missing}: pip install 'tactilerl[{name}]'") from error
+        raise InputError(
+            f"found no {error.name}, which this needs: pip install 'tactilerl[{name}]'"
+        ) from error
 
 
 @contextmanager

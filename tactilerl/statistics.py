@@ -38,39 +38,32 @@ class Estimate(NamedTuple):
 # -- one number per run ----------------------------------------------------------------------
 
 
-def converged_rate(curves: Array) -> Array:
-    """Return the level at which each curve spends most of its points; (runs, points) → (runs,).
+def converged_rate(rates: Array) -> float:
+    """Return the level at which a curve (points,) spends most of its points.
 
     The mode of the learning curve's histogram over [0, 1] (Melnik et al. 2021, "Using tactile
     sensing to improve the sample efficiency and performance of deep deterministic policy gradients
     for simulated in-hand manipulation tasks"): the mean of the points in the fullest bin. Of
-    equally full bins the one that the curve visited last counts. Points without a value (NaN) are
-    left out; a run without any is NaN.
+    equally full bins the one that the curve visited last counts.
     """
-    modes = np.full(len(curves), math.nan)
-    for run, curve in enumerate(curves):
-        if len(rates := curve[~np.isnan(curve)]):
-            # Rounded, for 0.58 * 50 is 28.999999999999996.
-            bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(
-                int
-            )
-            counts = np.bincount(bins)[bins]  # at each point, of its bin
-            last_of_fullest = np.flatnonzero(counts == counts.max())[-1]
-            modes[run] = rates[bins == bins[last_of_fullest]].mean()
-    return modes
+    # Rounded, for 0.58 * 50 is 28.999999999999996.
+    bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(int)
+    counts = np.bincount(bins)[bins]  # at each point, of its bin
+    last_of_fullest = np.flatnonzero(counts == counts.max())[-1]
+    return float(rates[bins == bins[last_of_fullest]].mean())
 
 
-def final_rate(curves: Array) -> Array:
-    """Return the mean of the last tenth of each curve, a point at least; (runs, points) → (runs,)."""
-    n_last = max(1, math.ceil(END_SHARE * curves.shape[1]))
-    return np.asarray(curves[:, -n_last:].mean(axis=1))
+def final_rate(rates: Array) -> float:
+    """Return the mean of the last tenth of a curve (points,), a point at least."""
+    n_last = max(1, math.ceil(END_SHARE * len(rates)))
+    return float(rates[-n_last:].mean())
 
 
-def area_under_curve(steps: Array, curves: Array) -> Array:
-    """Return the mean height of each curve (trapezoids); (points,), (runs, points) → (runs,)."""
+def area_under_curve(steps: Array, rates: Array) -> float:
+    """Return the mean height of a curve: rates (points,) at steps (points,), by trapezoids."""
     if len(steps) == 1:
-        return curves[:, 0].copy()
-    return np.asarray(np.trapezoid(curves, steps, axis=1) / (steps[-1] - steps[0]))
+        return float(rates[0])
+    return float(np.trapezoid(rates, steps) / (steps[-1] - steps[0]))
 
 
 # -- over the runs ---------------------------------------------------------------------------

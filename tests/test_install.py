@@ -59,8 +59,8 @@ def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path, in_tmp
     found = {p.relative_to(package).as_posix() for p in package.rglob("*") if p.suffix in shipped}
     assert found == expected
     code = "import tactilerl; print(tactilerl.__file__); from tactilerl.commands.cli import main; "
-    code += "main(['env', '--env', 'lqr'])"
+    code += "main(['env', '--env', 'shadow'])"
     result = python("-c", code, PYTHONPATH=str(package.parent))
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith(str(package))
-    assert "lqr" in result.stdout
+    assert "shadow" in result.stdout

@@ -9,14 +9,13 @@ from typing import Any
 
 import gymnasium as gym
 
-from .. import envs
 from ..envs import scenes, tasks
-from ..envs.grasp import GraspConfig, GraspEnv
-from ..errors import InputError, input_errors
+from ..envs.grasp import GraspEnv
+from ..errors import input_errors
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
 from .grasps import require_grasp
-from .scene import layout_notes, read_any
+from .scene import layout_notes, read_scene
 
 ABOUT = """\
 Describe an environment: what it is, its actions, observations and taxels. Without flags it also
@@ -33,7 +32,7 @@ class EnvFlags:
     """Flags of `tactilerl env`, besides the scene's."""
 
     env: str = "shadow"
-    """A hand, a toy (lqr, point-reach) or a Gymnasium id."""
+    """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     describe: bool = False
     """List every entry of the observation and the action."""
     check: bool = False
@@ -45,14 +44,15 @@ class EnvFlags:
 
 def main(args: list[str]) -> int:
     """Run `tactilerl env --describe`; return 1 where --check finds a taxel that never fires."""
-    read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
+    read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
     with input_errors():
-        env: Any = GraspEnv(read.env, scene) if scene else envs.make(read.env)
-        with closing(env):
-            content = _content(read.env, env, scene)
+        with closing(GraspEnv(read.env, scene)) as env:
+            content = _content(read.env, env)
         check = None
         if read.check:
-            check = _check(read.env, scene)
+            if tasks.TASKS[scene.task].giver is None:
+                require_grasp(read.env, scene)
+            check = taxels.check(read.env, scene)
             content["check"] = asdict(check)
     if read.json:
         print(json.dumps(content))
@@ -65,43 +65,30 @@ def main(args: list[str]) -> int:
     return int(check is not None and bool(check.never_fired))
 
 
-def _content(name: str, env: Any, scene: GraspConfig | None) -> dict[str, Any]:
+def _content(name: str, env: GraspEnv) -> dict[str, Any]:
     """Return what there is to say about an environment, as JSON has it."""
-    content: dict[str, Any] = {
+    scene = env.config
+    length = f"up to {env.max_episode_steps} actions of {scene.control_dt:g} s"
+    return {
         "env": name,
+        "task": f"{scene.task} in {scene.simulator}, {length}",
         "action_space": _short(env.action_space),
         "observation_space": _short(env.observation_space),
+        "taxels": len(env.taxels),
+        "notes": layout_notes(name, scene.layout),
+        "action": env.hand.action_names,
+        "observation": env.observation_names(),
     }
-    if scene is not None:
-        length = f"up to {env.max_episode_steps} actions of {scene.control_dt:g} s"
-        content |= {
-            "task": f"{scene.task} in {scene.simulator}, {length}",
-            "observation": env.observation_names(),
-            "action": env.hand.action_names,
-            "taxels": len(env.taxels),
-            "notes": layout_notes(name, scene.layout),
-        }
-    return content
-
-
-def _check(name: str, scene: GraspConfig | None) -> TaxelCheck:
-    """Play scripted grasps; where the hand has none, search for one."""
-    if scene is None:
-        raise InputError(f"--check: found {name}, allowed the environments of hands")
-    if tasks.TASKS[scene.task].giver is None:
-        require_grasp(name, scene)
-    return taxels.check(name, scene)
 
 
 def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) -> None:
     """Print the content in lines, all entries of action and observation if `everything`."""
     for key in ("env", "task", "action_space", "observation_space", "taxels"):
-        if key in content:
-            print(f"{key}: {content[key]}")
-    for note in content.get("notes", ()):
+        print(f"{key}: {content[key]}")
+    for note in content["notes"]:
         print(f"note: {note}")
     for key in ("action", "observation") if everything else ():
-        for index, entry in enumerate(content.get(key, ())):
+        for index, entry in enumerate(content[key]):
             print(f"{key}[{index}] {entry}")
     if check is not None:
         print(

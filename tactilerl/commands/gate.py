@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any
 
 from rich.table import Table
@@ -55,15 +57,15 @@ def main(args: list[str]) -> int:
     """Run `tactilerl gate --scene handover`."""
     layout_names, args = flags.several(args, "--layout")
     thresholds, args = flags.several(args, "--taxel-threshold")
-    read, scene = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
-    if not any(arg.replace("_", "-").startswith("--hold-verdict") for arg in args):
-        scene = dataclasses.replace(scene, hold_verdict="settled")
+    read, scene = read_scene(
+        GateFlags, args, "tactilerl gate", ABOUT, hold_verdict="settled"
+    )
     with input_errors():
         if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate compares with no touch")
         forces: list[float | None] = [scene.taxel_threshold]
         if thresholds:
-            forces = [float(text) for text in thresholds]
+            forces = [*map(_newtons, thresholds)]
         variants = [
             dataclasses.replace(scene, layout=layout, taxel_threshold=force)
             for layout in layout_names or [scene.layout]
@@ -88,7 +90,12 @@ def main(args: list[str]) -> int:
             rows += [(variant, result) for result in results]
     results = [result for variant, result in rows if variant is variants[0]]
     with_touch = [row for row in rows if row[1].name == "touch"]
-    sentences = [gate.verdict(results)]
+    others = [result for result in results if result.name != "touch"]
+    label = partial(_label, layout_names, thresholds)
+    sentences = []
+    for variant, result in with_touch:
+        verdict = gate.verdict([*others, result])
+        sentences.append(": ".join([*label(variant), verdict]))
     if thresholds:
         blind = gate.without_touch(results).rate
         for layout in layout_names or [scene.layout]:
@@ -114,21 +121,37 @@ def main(args: list[str]) -> int:
         }
         print(json.dumps(content))
         return 0
-    console.print(_table(rows, layout_names, thresholds))
+    console.print(_table(rows, label))
     for sentence in sentences:
         console.print(sentence)
     return 0
 
 
-def _table(rows: list[Row], layout_names: list[str], thresholds: list[str]) -> Table:
+def _newtons(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"taxel_threshold: found {text!r}, allowed numbers") from None
+
+
+def _label(
+    layout_names: list[str], thresholds: list[str], variant: GraspConfig
+) -> list[str]:
+    """Return what tells a variant from the others: its layout and threshold, or nothing."""
+    parts = [f"layout {variant.layout}"] if len(layout_names) > 1 else []
+    if len(thresholds) > 1:
+        parts.append(f"{variant.taxel_threshold:g} N")
+    return [", ".join(parts)] if parts else []
+
+
+def _table(rows: list[Row], label: Callable[[GraspConfig], list[str]]) -> Table:
     """Return a line for each scripted hand, in the order of their senses."""
     table = Table("scripted hand", "switches when", "success", "95 % interval")
     rows.sort(key=lambda row: list(gate.SENSES).index(row[1].name))
     for variant, result in rows:
         name, (low, high) = result.name, result.interval
         if name == "touch":
-            name += f", layout {variant.layout}" if len(layout_names) > 1 else ""
-            name += f", {variant.taxel_threshold:g} N" if len(thresholds) > 1 else ""
+            name = ", ".join([name, *label(variant)])
         when = gate.SENSES[result.name][1]
         table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
     return table

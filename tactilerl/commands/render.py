@@ -51,9 +51,9 @@ class RenderFlags:
     """Replace a picture or film that is there."""
     pose: Literal["start", "grasp"] = "grasp"
     """Pose in the picture: the start of an episode, or a scripted grasp."""
-    azimuth: float = Camera.azimuth
+    azimuth: Annotated[float, "[-360, 360]"] = Camera.azimuth
     """Direction of the camera, degrees; 300 looks at the palm."""
-    elevation: float = Camera.elevation
+    elevation: Annotated[float, "[-360, 360]"] = Camera.elevation
     """Elevation of the camera, degrees; positive looks up from below."""
     distance: Annotated[float, "[0.05, 10]"] = Camera.distance
     """Distance of the camera, m."""

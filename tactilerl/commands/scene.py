@@ -38,10 +38,13 @@ def require_env(env: str, scene: str) -> None:
         )
 
 
-def read_any(
-    kind: type[T], args: Sequence[str], prog: str, about: str
-) -> tuple[T, GraspConfig | None]:
-    """Return the command's own flags, and the scene's where its environment is a hand."""
+def read_scene(
+    kind: type[T], args: Sequence[str], prog: str, about: str, **usual: Any
+) -> tuple[T, GraspConfig]:
+    """Return the command's own flags and the scene; InputError where its environment is no hand.
+
+    `usual` are defaults of the command, whatever the scene has.
+    """
     command: Any = kind()
     given = flags.peek(args, "scene", "env")
     with input_errors():
@@ -49,27 +52,16 @@ def read_any(
         if given["scene"]:
             named = scenes.load(given["scene"])
     env = given["env"] or named.env
-    require_env(env, given["scene"])
-    parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
-    parts["named"] = SceneFlag()
-    if hands.is_hand(env):
-        with input_errors(f"scene {given['scene']}" if given["scene"] else ""):
-            parts["scene"] = setup(env, **named.on(env))
-            validation.validate(parts["scene"])  # before tyro reads it as the defaults
+    if not hands.is_hand(env):
+        hint = nearest(env, hands.HANDS)
+        raise InputError(f"env: found {env!r}, {hint}allowed: {hands.allowed()}")
+    with input_errors(f"scene {given['scene']}" if given["scene"] else ""):
+        scene = setup(env, **{**named.on(env), **usual})
+        validation.validate(scene)  # before tyro reads it as the defaults
+    command = dataclasses.replace(command, env=env)
+    parts = {"command": command, "named": SceneFlag(), "scene": scene}
     read = flags.parse_parts(parts, args, prog, about)
-    return read.command, getattr(read, "scene", None)
-
-
-def read_scene(
-    kind: type[T], args: Sequence[str], prog: str, about: str
-) -> tuple[T, GraspConfig]:
-    """Return the same; raise InputError where the environment is no hand."""
-    read, scene = read_any(kind, args, prog, about)
-    if scene is None:
-        raise InputError(
-            f"env: found {vars(read)['env']!r}, allowed: {hands.allowed()}"
-        )
-    return read, scene
+    return read.command, read.scene
 
 
 def layout_notes(name: str, layout: str) -> list[str]:

@@ -51,7 +51,7 @@ class Run:
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
         runs = study.runs()
-        jobs.check(map(files.record, runs))
+        jobs.check(files, runs)
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
             files.create(study)
@@ -71,18 +71,21 @@ class Run:
             def show(job: Job, ending: jobs.Ending) -> None:
                 endings.append(ending)
                 record, n_ended = files.record(job.run), len(endings)
-                left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
-                console.print(
-                    f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
-                    f"{duration(record.seconds)}  ETA {duration(left)}"
-                )
+                text = f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
+                text += duration(record.seconds)
+                if n_ended >= (self.jobs or 1):  # before, the others are half done
+                    left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
+                    text += f"  ETA {duration(left)}"
+                console.print(text)
 
             jobs.run_all(todo, pool, show)
         n_failed = _print_failures(map(files.record, runs))
         if n_busy := endings.count("busy"):
             console.print(f"{n_busy} runs are trained by another `study run`")
+        if n_left := endings.count("interrupted"):
+            console.print(f"{n_left} runs were interrupted; the same command goes on")
         console.print(f"  tactilerl study report {pasted(files.path)}")
-        return 1 if n_failed else 0
+        return 1 if n_failed or n_left else 0
 
 
 def _counts(all_records: Iterable[Record]) -> dict[str, int]:

@@ -46,11 +46,12 @@ def skin(name: str, hand: Hand) -> Taxels:
     """
     if "\n" in name or not name.endswith("mm"):
         return load(name).place(hand)
-    allowed = "a layout, or a spacing from 0.5mm to 50mm"
     try:
         spacing = validation.require_type(float(name[:-2]), Spacing, "skin")
     except ValueError:
-        raise ValueError(f"skin: found {name!r}, allowed {allowed}") from None
+        raise ValueError(
+            f"skin: found {name!r}, allowed a layout, or a spacing from 0.5mm to 50mm"
+        ) from None
     patches, radius = [], hand.pitch.radius
     for surface in hand.surfaces:
         offsets = tuple(_grid(surface, 1e-3 * spacing, radius))

@@ -223,8 +223,9 @@ class Filmed:
 def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
     """Return the module that writes it. Raise InputError where `out` cannot be written."""
     if out.suffix.lower() not in endings:
-        allowed = f"names that end in {', '.join(endings)}"
-        raise InputError(f"{flag}: found {out.name!r}, allowed {allowed}")
+        raise InputError(
+            f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}"
+        )
     if not out.parent.is_dir():
         raise InputError(
             f"{flag}: found no folder {out.parent}, allowed one that exists"

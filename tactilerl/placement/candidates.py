@@ -292,7 +292,7 @@ def losses_of(survives: str, hand: Hand, taxels: Taxels) -> Losses:
 
 
 def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
-    """Return the taxels of all sets, each place once and in the order of places.
+    """Return the taxels of all sets, each place and threshold once, in the order of places.
 
     Return with it which of them are those of each set.
     """
@@ -300,9 +300,8 @@ def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
     surfaces = np.concatenate([taxels.surfaces for taxels in sets])
     offsets = np.concatenate([taxels.offsets for taxels in sets])
     every = Taxels(tuple(points), surfaces, offsets)
-    _, firsts, columns = np.unique(
-        places.of(every), axis=0, return_index=True, return_inverse=True
-    )
+    keys = np.column_stack([places.of(every), every.thresholds])
+    _, firsts, columns = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     ends = np.cumsum([len(taxels) for taxels in sets])
     parts = np.split(columns.reshape(-1), ends[:-1])
     return every.take(firsts.tolist()), [part.tolist() for part in parts]

@@ -171,8 +171,10 @@ def greedy(
             row[is_free] = each[is_free]
         index, taxel = divmod(int(np.argmax(scores)), n_taxels)
         if not np.isfinite(scores[index, taxel]):
-            room = f"{len(chosen) - len(existing)}; there is no room for more of this radius"
-            raise ValueError(f"taxels: found {k - len(existing)}, allowed up to {room}")
+            raise ValueError(
+                f"taxels: found {k - len(existing)}, allowed up to {len(chosen) - len(existing)}; "
+                "there is no room for more of this radius"
+            )
         return [*rests[index], taxel]
 
     while len(chosen) < k:

@@ -24,8 +24,9 @@ def paths(out: Path, numbers: Sequence[int]) -> list[Path]:
     """Return which files are written, layouts first; InputError where `out` can be no such place."""
     if out.suffix == ".toml":
         if len(numbers) > 1:
-            allowed = "a folder for several numbers of taxels"
-            raise InputError(f"--out: found {str(out)!r}, allowed {allowed}")
+            raise InputError(
+                f"--out: found {str(out)!r}, allowed a folder for several numbers of taxels"
+            )
         if not out.parent.is_dir():
             raise InputError(f"--out: found no folder {str(out.parent)!r}")
         return [out, out.with_suffix(".png")]

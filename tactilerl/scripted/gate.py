@@ -138,7 +138,7 @@ def verdict(results: list[HandResult]) -> str:
     """Return one sentence about what touch can win in the scene."""
     rates, blind = {one.name: one.rate for one in results}, without_touch(results)
     room = rates["sighted"] - blind.rate
-    if room < MIN_GAIN:
+    if not pays(rates["sighted"], blind.rate):
         return (
             f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds in "
             f"{blind.rate:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
@@ -156,8 +156,8 @@ def verdict(results: list[HandResult]) -> str:
 
 
 def pays(touch: float, blind: float) -> bool:
-    """Tell whether a success rate with touch is enough above that of the best hand without."""
-    return touch - blind >= MIN_GAIN
+    """Tell whether a success rate is enough above that of the best hand without touch."""
+    return round(touch - blind, 9) >= MIN_GAIN
 
 
 def where_touch_stops(rates: Mapping[float, tuple[float, float]]) -> str:

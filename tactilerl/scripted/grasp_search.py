@@ -84,8 +84,9 @@ def find(
         env: Any = played_in.env.unwrapped
         tip = float(env.state.fingertips[:, 2].min())
         if not env.hand.closed:
-            missing = "has no [closed], the joint angles of the closed hand"
-            raise ValueError(f"hand {hand}: {missing}")
+            raise ValueError(
+                f"hand {hand}: has no [closed], the joint angles of the closed hand"
+            )
         grasp_of = partial(_grasp, env.hand, env.shape.width)
 
         def test(figures: Array, starts: range) -> Candidate:

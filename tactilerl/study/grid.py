@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..envs import plugins, validation
-from ..envs.validation import require_one_of
+from ..envs.validation import require_known, require_one_of
 from ..errors import InputError, input_errors
 from ..files import require_name
 from ..runs.config import RunConfig, configure
@@ -97,8 +97,9 @@ class Run:
         flags = dict(self.flags)
         for name in _as_list(flags.pop(IMPORT, [])):
             if name not in plugins.imported:
-                hint = f"if you trust it, give --import {name}"
-                raise InputError(f"it needs the module {str(name)[:50]!r}; {hint}")
+                raise InputError(
+                    f"it needs the module {str(name)[:50]!r}; if you trust it, give --import {name}"
+                )
         return configure({**flags, SEED: self.seed, "workers": 1})
 
 
@@ -211,7 +212,7 @@ def read(path: Path) -> Study:
 
 
 def _study(data: dict[str, Any]) -> Study:
-    validation.only(data, KEYS, "study file")
+    require_known(data, KEYS)
     setups = []
     for name in validation.table(data, "setups"):
         with validation.blamed(f"setups.{name}"[:60]):
@@ -232,6 +233,8 @@ def _setup(name: str, table: dict[str, Any], study: dict[str, Any]) -> Setup:
         raise ValueError(
             f"{flag}: leave it out; seeds belong in the grid, the rest to `study run`"
         )
+    for flag in flags.keys() & grid.keys():
+        raise ValueError(f"{flag}: found in the set-up and in the grid, allowed in one")
     grid = {flag: _as_list(values) for flag, values in grid.items()}
     compare = _compare(_flags(validation.table(parts, "compare")), grid)
     require_one_of(MEASURES, parts["measure"], "measure")
@@ -253,8 +256,9 @@ def _seeds(values: list[Any]) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not first <= last < first + MAX_RUNS:
-            expected = 'expected numbers and ranges, such as "0-9"'
-            raise ValueError(f"seed: found {part[:60]!r}, {expected}")
+            raise ValueError(
+                f'seed: found {part[:60]!r}, expected numbers and ranges, such as "0-9"'
+            )
         seeds += range(first, last + 1)
     return seeds
 

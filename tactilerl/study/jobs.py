@@ -22,6 +22,7 @@ from typing import Any, Literal
 
 import filelock
 
+from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..envs import plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
@@ -68,33 +69,45 @@ class Job:
         return ["study", "train", str(self.folder), self.run.name, *modules]
 
 
-def check(records: Iterable[Record]) -> None:
+def check(files: StudyFiles, runs: Iterable[Run]) -> None:
     """Raise InputError naming the first run that could not start, or is another one in its folder.
 
     Makes the environment and the learner of every group that has not begun yet.
     """
     made = set()
-    for record in records:
-        run = record.run
+    for run in runs:
+        record = files.record(run)
         try:
             config = run.config()
             if record.config:
-                _require_same(from_dict(record.config), config)
+                _require_same(record, config)
+                files.run_dir(run).require_same_files(config)
             if record.state == "left" and run.place not in made:
                 made.add(run.place)
                 learner, workers = make_algorithm(config, Communicator())
                 with closing(workers), input_errors():
                     learner.check()
+                is_tested = type(learner).test is not Learner.test
+                if run.measure.startswith("test_") and not is_tested:
+                    raise InputError(
+                        f"measure: found {run.measure}, but {config.run.algo} has no tests"
+                    )
         except InputError as error:
             raise InputError(f"run {run.name}: {error}") from error
 
 
-def _require_same(made: RunConfig, wanted: RunConfig) -> None:
+def _require_same(record: Record, wanted: RunConfig) -> None:
     """Raise InputError where a run was made with other values, or would be cut."""
-    steps = made.run.total_timesteps
-    if wanted.run.total_timesteps < steps:
-        length = f"total_timesteps: found {wanted.run.total_timesteps}, allowed {steps} or more"
-        raise InputError(f"{length}: a run can be extended, not cut")
+    made = from_dict(record.config)
+    steps, found = made.run.total_timesteps, wanted.run.total_timesteps
+    if found < steps:
+        raise InputError(
+            f"total_timesteps: found {found}, allowed {steps} or more: a run can be extended, not cut"
+        )
+    if found > steps and "total_timesteps" not in record.run.flags:
+        raise InputError(
+            f"total_timesteps: found none, which means {found}; this run was made with {steps}"
+        )
     if difference := made.difference(wanted.identity()):
         hint = "give this study another --out, or move that folder away"
         raise InputError(f"{difference}; {hint}")
@@ -169,6 +182,8 @@ def _train(files: StudyFiles, job: Job) -> Ending:
             break
     if code == 0 and files.record(job.run).state == "done":
         return "done"
+    if job.run not in files.study().runs():  # another `study run` changed the study
+        return "interrupted"
     files.write_failure(job.run, _reason(code, log, begin))
     return "failed"
 

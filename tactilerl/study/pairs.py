@@ -82,13 +82,12 @@ def scores(record: Record, first: float, last: float) -> dict[str, float]:
     """
     steps, rates = record.curve
     at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
-    rates = np.interp(at, steps, rates)[None]
-    reached = {
+    rates = np.interp(at, steps, rates)
+    return {
         "area": statistics.area_under_curve(at, rates),
         "final": statistics.final_rate(rates),
         "converged": statistics.converged_rate(rates),
     }
-    return {name: float(value[0]) for name, value in reached.items()}
 
 
 def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:

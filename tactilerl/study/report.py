@@ -124,11 +124,14 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
         result = f"too few runs to find a difference, which takes {fewest} pairs"
     else:
         result = f"no significant difference in {MEANS[score]}"
+    n_pairs = f"{len(pairs)} of {verdict.n_seeds} pairs"
+    if len(pairs) < 2:  # which have no interval
+        return f"{setup.name}, {verdict.setting}: {result} ({n_pairs})."
     value, low, high = (f"{x:+.2f}".replace("-", "−") for x in pairs.difference)
     chance = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
     return (
         f"{setup.name}, {verdict.setting}: {result} ({treatment} − {control}: {value}, 95 % interval "
-        f"{low} to {high}, {chance}, {len(pairs)} of {verdict.n_seeds} pairs)."
+        f"{low} to {high}, {chance}, {n_pairs})."
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from rich.console import Console
 from rich.progress import Progress
@@ -26,19 +27,12 @@ def paragraph(label: str, text: str) -> str:
 @contextmanager
 def progress(
     what: str, total: int | None = None, is_shown: bool = True
-) -> Iterator[Callable[..., None]]:
+) -> Iterator[Callable[[], None]]:
     """Show a bar on standard error, where that is a terminal.
 
-    Yields a function to be called as work goes on: with how much is done, and perhaps of how much;
-    without arguments, one more is done.
+    Yields a function to be called whenever one more is done.
     """
     screen = Console(stderr=True)
     is_hidden = not (is_shown and screen.is_terminal)
     with Progress(console=screen, transient=True, disable=is_hidden) as bar:
-        task = bar.add_task(what, total=total)
-
-        def show(done: int | None = None, of: int | None = None) -> None:
-            advance = 1 if done is None else None
-            bar.update(task, completed=done, total=of, advance=advance)
-
-        yield show
+        yield partial(bar.advance, bar.add_task(what, total=total))

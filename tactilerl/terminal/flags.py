@@ -60,20 +60,33 @@ def peek(args: Sequence[str], *names: str) -> dict[str, str]:
     Some decide which other flags there are, and their defaults. InputError where one has no
     value.
     """
-    parser = argparse.ArgumentParser(
-        add_help=False, allow_abbrev=False, exit_on_error=False
-    )
+    parser = _parser()
     for name in names:
         parser.add_argument(f"--{name}", default="")
-    try:
-        return vars(parser.parse_known_args(args)[0])
-    except argparse.ArgumentError as error:
-        raise InputError(f"{error.argument_name}: {error.message}") from None
+    return vars(_known(parser, args)[0])
 
 
 def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
-    """Return the values of a flag that takes one elsewhere, and `args` with the first alone."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument(flag, nargs="*", default=[], dest="values")
-    given, rest = parser.parse_known_args(args)
+    """Return the values of a flag that takes one elsewhere, and `args` with the first alone.
+
+    Raise InputError where it has none.
+    """
+    parser = _parser()
+    parser.add_argument(flag, nargs="+", default=[], dest="values")
+    given, rest = _known(parser, args)
     return given.values, [*rest, *([flag, given.values[0]] if given.values else [])]
+
+
+def _parser() -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
+        add_help=False, allow_abbrev=False, exit_on_error=False
+    )
+
+
+def _known(
+    parser: argparse.ArgumentParser, args: Sequence[str]
+) -> tuple[argparse.Namespace, list[str]]:
+    try:
+        return parser.parse_known_args(args)
+    except argparse.ArgumentError as error:
+        raise InputError(f"{error.argument_name}: {error.message}") from None

@@ -95,8 +95,8 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
     [
         ("[[patch]\n", "not valid TOML"),
         ("", "at least one"),
-        ("colour = 3\n[[patch]]\n" + GOOD, "unknown key 'colour'"),
-        ("[[patch]]\nradii = 2\n" + GOOD, "unknown key 'radii'"),
+        ("colour = 3\n[[patch]]\n" + GOOD, "colour: unknown"),
+        ("[[patch]]\nradii = 2\n" + GOOD, "radii: unknown"),
         ("[[patch]]\n" + GOOD.replace("thumb", "toe"), "found 'toe', allowed: thumb"),
         ("[[patch]]\n" + GOOD.replace("distal", "tip"), "found 'tip', allowed: proximal"),
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
@@ -107,7 +107,7 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
         ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found a number of"),
         ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),
-        ("[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1: unknown key 'foo'"),
+        ("[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1.foo: unknown"),
         ("[[sensor]]\nfile = 'x.stl'\nlinks = ['a']\n", "sensor 1: file: found 'x.stl'"),
         (
             "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\nposition = [1e8, 0, 0]\n",

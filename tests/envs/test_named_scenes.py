@@ -56,7 +56,7 @@ class TestOwnFile:
         ("text", "named"),
         [
             ("[scene", "scene file mine.toml: not valid TOML"),
-            ("colour = 3", "unknown key 'colour'; allowed: about, base, env, scaled, scene, train"),
+            ("colour = 3", "colour: unknown; allowed: about, base, env, scaled, scene, train"),
             ("env = 3", "env: found 3, allowed a str"),
             ('base = "handover"\nscaled = ["history"]', "scaled: found 'history', allowed: "),
             ('base = "handover"\nscaled = ["handover_reach"]', "scaled: found 'handover_reach'"),

@@ -45,7 +45,7 @@ WRONG = [
     ("toml", 'model = "gripper.xml"', 'model = "no.xml"', "no.xml' does not exist"),
     ("xml", '<mesh name="tip" v', '<mesh name="tip" file="no.stl"/><mesh name="x" v', "no.stl"),
     ("xml", '<mesh name="tip"', '<mesh name="other" file="no.stl"/><mesh name="tip"', ""),
-    ("toml", "[closed]", "[shut]", "unknown key 'shut'"),
+    ("toml", "[closed]", "[shut]", "shut: unknown"),
     ("toml", '"*_tip" = 0.4', '"*_toe" = 0.4', "closed: found '*_toe', allowed: left_knuckle"),
     ("toml", "fingers = [0, -1, 0]", "fingers = [0, 0, 1]", "fingers: found the direction of palmar"),
     ("toml", "palmar = [0, 0, -1]", "palmar = [0, 0]", "palmar: found [0, 0], allowed a list"),

@@ -388,7 +388,8 @@ class TestModels:
         at_start(made(model, TOML.replace('"l_1", ', "").replace('"r_1", ', "")), simulator)
 
     def test_the_only_digit_may_be_a_thumb(self, made):
-        hands.get(made(toml=TOML.replace('index = { links = ["r_1", "r_2"], tip = [0.038, 0, 0] }', "")))
+        index = 'index = { links = ["r_1", "r_2"], tip = [0.038, 0, 0] }'
+        hands.get(made(toml=TOML.replace(index, "")))
 
     def test_a_hand_observes_something(self, made):
         with pytest.raises(ValueError, match="observation: found none, allowed: "):

@@ -229,6 +229,14 @@ class TestPrediction:
         assert played == expected.tolist()
         assert sum(played) > 0
 
+    def test_taxels_in_one_place_keep_their_thresholds(self):
+        soft = layouts.load("5").place(hands.get("mpl"))
+        hard = dataclasses.replace(soft, points=tuple(p._replace(threshold_N=5.0) for p in soft.points))
+        for sets in ([soft, hard], [hard, soft]):
+            skin, columns = joined(sets)
+            for taxels, own in zip(sets, columns, strict=True):
+                assert skin.thresholds[own].tolist() == taxels.thresholds.tolist()
+
 
 class TestCandidates:
     def test_only_some_digits_and_segments(self):

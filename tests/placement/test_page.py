@@ -186,12 +186,6 @@ def contrast(*colours):
     return (max(shades) + 0.05) / (min(shades) + 0.05)
 
 
-def test_a_page_that_is_too_large_is_refused(design, monkeypatch):
-    monkeypatch.setattr(page, "MAX_BYTES", 1_000)
-    with pytest.raises(ValueError, match="out: found a page of"):
-        page.page(design[0])
-
-
 def test_the_page_in_the_docs_is_of_today():
     template = page.TEMPLATE.read_text().split("@DATA@")
     shown = (Path(__file__).parents[2] / "docs/assets/design.html").read_text()

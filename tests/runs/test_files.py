@@ -274,7 +274,7 @@ class TestConfig:
             ("run", "env", None, "env: found None"),
             ("run", "env", "shadow", "env: found 'shadow', which does not"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
-            ("run", "more", 1, "run: unknown key 'more'"),
+            ("run", "more", 1, "run.more: unknown"),
             ("learner", "hidden", [8, "8"], "hidden: found '8'"),
             ("learner", "hidden", [10**30], "hidden: found a number"),
             ("learner", "truncation", "never", "truncation: found 'never'"),

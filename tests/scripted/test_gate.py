@@ -103,14 +103,15 @@ def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_
     assert set(rates) == {"timed", "joints", "active", "touch", "sighted"}
     assert min(rates["touch"], rates["sighted"]) > 0.7
     assert max(rates["timed"], rates["joints"]) < 0.6
-    assert said["verdict"].startswith("Touch closes 0.")
+    assert said["verdict"].startswith("0 N: Touch closes 0.")
+    assert " 0.4 N: Touch closes 0." in said["verdict"]
     by_threshold = {row["taxel_threshold"]: row["rate"] for row in said["touch"]}
     assert by_threshold[0.0] == rates["touch"] > 0.6 > by_threshold[0.4]
     assert "Touch stops paying at a threshold of 0.4 N" in said["verdict"]
 
 
 def test_touch_that_pays_at_all_thresholds():
-    sentence = gate.where_touch_stops({0.1: (0.9, 0.6), 0.0: (0.9, 0.6)})
+    sentence = gate.where_touch_stops({0.1: (0.9, 0.6), 0.0: (0.7, 0.4)})  # which differ by less
     assert "up to 0.1 N: " in sentence
 
 
@@ -125,6 +126,8 @@ def test_several_layouts():
         (["--starts", "0"], "starts: found 0, allowed [1, inf)"),
         (["--seed", "-1"], "seed: found -1"),
         (["--env", "lqr"], "env: found 'lqr'"),
+        (["--layout"], "--layout: expected at least one argument"),
+        (["--taxel-threshold", "0", "firm"], "taxel_threshold: found 'firm', allowed numbers"),
         (["--scene", "handover", "--touch", "off"], "--touch: leave it out"),
     ],
 )

@@ -84,7 +84,7 @@ class TestBadFiles:
         [
             ('name = "toy"', "", ["name", "None"]),
             ('name = "toy"', "name = ", ["not valid TOML", "line 2"]),
-            ('name = "toy"', 'name = "toy"\ngird = 1', ["'gird'", "grid"]),
+            ('name = "toy"', 'name = "toy"\ngird = 1', ["gird: unknown; did you mean grid?"]),
             ('name = "toy"', 'name = "toy"\nprimary.score = "best"', ["primary.score", "best"]),
             ('name = "toy"', 'name = "toy"\nprimary = "area"', ["primary", "table"]),
             ('name = "toy"', 'name = "toy"\nlooks.pairs = [2, 3]', ["looks"]),
@@ -101,6 +101,7 @@ class TestBadFiles:
             ("polyak = [0.95, 0.9]", "polyak = [0.9, 0.9]", ["compare", "[0.9, 0.9]", "treatment"]),
             ("polyak = [0.95, 0.9]", "layout = [1, 2]", ["compare: found 'layout'", "batch_size"]),
             ("polyak = [0.95, 0.9]", "polyak = 0.9", ["compare", "touch"]),
+            ('algo = "ddpg_her"', 'algo = "ddpg_her"\npolyak = 0.9', ["polyak", "and in the grid"]),
             ('algo = "ddpg_her"', 'algo = "ddpg_her"\nseed = 3', ["setups.reach: seed", "grid"]),
             ('"test_success_rate"', '"mean_return"', ["measure", "mean_return", "success_rate"]),
             ("[setups.reach]", "[setups.'../../pwn']", ["setups.../../pwn", "word"]),

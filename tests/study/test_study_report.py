@@ -76,6 +76,11 @@ class TestNumbers:
         assert result.setups[0].verdicts[lost.setting].pairs.seeds == [0, 2]
         assert any("2 of 3 pairs" in said for said in report.answers(result))
 
+    def test_one_pair_has_no_interval(self, tmp_path):
+        result = analysis.analyse(*records.load(make_study(tmp_path / "s", n_seeds=1).path), 100)
+        said = report.answers(result)[0]
+        assert said.endswith("too few runs to find a difference, which takes 7 pairs (1 of 1 pairs).")
+
 
 class TestFiles:
     def test_same_records_same_bytes(self, folder, written, tmp_path):

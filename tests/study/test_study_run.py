@@ -13,7 +13,7 @@ import filelock
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
-from tactilerl.study import jobs, records
+from tactilerl.study import grid, jobs, records
 from tactilerl.study.records import StudyFiles
 
 from one_line import fails_with, printed
@@ -63,6 +63,7 @@ class TestRun:
         [
             ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
             ("total_timesteps = 200", "total_timesteps = 100", "found 100, allowed 200"),
+            ("total_timesteps = 200", "", "this run was made with 200"),
             ('"tiny"', '"other"', "holds tiny, not the study 'other'"),
         ],
     )
@@ -113,8 +114,37 @@ class TestBeforeItStarts:
         fails_with(capsys, [*args, "--import", "evil"], "x-v0")
         assert (tmp_path / "pwned").exists()
 
+    def test_a_measure_that_the_learner_does_not_have(self, tmp_path, capsys):
+        text = 'name = "x"\nmeasure = "test_success_rate"\n[setups.x]\nenv = "lqr"\n'
+        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
+        fails_with(capsys, args, "measure: found test_success_rate, but ppo has no tests")
+
+    def test_a_layout_that_was_changed_since(self, tmp_path, capsys):
+        layout, study = tmp_path / "own.toml", write(tmp_path)
+        layout.write_text("[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n")
+        study.write_text(
+            f'name = "x"\n[setups.x]\nenv = "shadow"\nlayout = "{layout}"\ntotal_timesteps = 1\n'
+            "steps_per_epoch = 1\nhidden = [8]\nn_passes = 1\nmax_episode_steps = 2\n"
+        )
+        out = trained(tmp_path, study.read_text())
+        args = ["study", "run", study, "--out", out]
+        assert "0 to do" in printed(capsys, args)
+        layout.write_text(layout.read_text().replace("= 2", "= 3"))
+        fails_with(capsys, args, "own.toml: has changed since this run began")
+
 
 class TestFailures:
+    def test_a_run_that_the_study_has_no_more_has_not_failed(self, copied, capsys):
+        study = copied.study()
+        first, second = study.runs()
+        shutil.rmtree(copied.run_dir(second).path)
+        fewer = study.as_dict()
+        fewer["setups"][0]["grid"]["polyak"] = [first.flags["polyak"]]
+        fewer["setups"][0]["compare"] = None
+        copied.create(grid.from_dict(fewer))
+        assert jobs.make_done(jobs.Job(copied.path, second)) == "interrupted"
+        assert not copied.beside(second, "json").exists()
+
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
         self, tmp_path, monkeypatch, capsys, trained_here
     ):
