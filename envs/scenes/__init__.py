@@ -33,7 +33,8 @@ class NamedScene:
     scene: dict[str, Any] = field(default_factory=dict)
     """Fields of `grasp.GraspConfig`."""
     train: dict[str, Any] = field(default_factory=dict)
-    """Flags of ``tactilerl train``: learner, recipe, hyperparameters, length."""
+    """Flags of ``tactilerl train``: learner, recipe, hyperparameters, length; in a table by the name of
+    another learner, those for that one."""
     scaled: tuple[str, ...] = ()
     """Fields of `scene` that are lengths relative to the fingers of `env`."""
     base: str = ""

@@ -222,8 +222,8 @@ def defaults(
 ) -> RunConfig:
     """Return the configuration before any flag: the paper's, but for what a named scene says.
 
-    With another learner than the scene's own, the scene's hyperparameters are left out. Raises
-    InputError for an unknown algorithm, recipe, environment or scene.
+    With another learner than the scene's own, only what the scene says for that one counts
+    (`[train.ddpg_her]`). Raises InputError for an unknown algorithm, recipe, environment or scene.
     """
     names = {"algo": algo, "env": env, "recipe": recipe, "scene": scene}
     with input_errors(f"scene {scene}" if scene else ""):
@@ -231,9 +231,12 @@ def defaults(
             validation.require_type(value, str | None, name)
         named = scenes.load(scene) if scene else NamedScene()
         env = env or named.env
+        others = {name: x for name, x in named.train.items() if isinstance(x, dict)}
+        require_known(others, algos.ALGORITHMS, "train")
         train = {"algo": RunOptions.algo, "recipe": recipes.PAPER, **named.train}
         if algo and algo != train["algo"]:
-            train = {"algo": algo, "recipe": recipes.PAPER}
+            train = {"algo": algo, "recipe": recipes.PAPER, **others.get(algo, {})}
+        train = {name: x for name, x in train.items() if name not in others}
         algo, usual = train.pop("algo"), train.pop("recipe")
         require_one_of(algos.ALGORITHMS, algo, "algo")
         paper, grasp = algos.ALGORITHMS[algo], None

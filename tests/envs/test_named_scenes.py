@@ -8,7 +8,8 @@ import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import scenes
 from tactilerl.envs.hands import HANDS, get
-from tactilerl.runs.config import defaults
+from tactilerl.errors import InputError
+from tactilerl.runs.config import configure, defaults
 
 from one_line import fails_with
 
@@ -38,6 +39,21 @@ def test_flags_change_what_a_scene_says():
     scene = saved["scene"]
     assert (scene["task"], scene["layout"], scene["touch"]) == ("handover", "1", "off")
     assert saved["learner"]["orthogonal_init"] is True  # of the recipe
+
+
+class TestOtherLearner:
+    def test_a_scene_may_say_how_it_learns(self):
+        config = configure({"scene": "handover", "algo": "ddpg_her"})
+        assert (config.run.total_timesteps, config.learner.random_hold) == (8_000, 8.0)
+        config = configure({"scene": "dark_mpl", "algo": "ddpg_her"})
+        assert (config.run.total_timesteps, config.learner.random_hold) == (95_000_000, 1.0)
+        config = configure({"scene": "handover"})
+        assert (config.run.algo, config.run.total_timesteps) == ("ppo", 30_000)
+
+    def test_a_slip_in_its_name(self):
+        Path("mine.toml").write_text('base = "handover"\n[train.dpg_her]\nrecipe = "steady"\n')
+        with pytest.raises(InputError, match="did you mean ddpg_her"):
+            configure({"scene": "mine.toml"})
 
 
 class TestOwnFile:
