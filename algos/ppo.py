@@ -414,7 +414,7 @@ class PPO(Learner):
         goes back to the policy of that epoch. Before any epoch differed, and where all episodes
         succeed, there is nothing to undo.
         """
-        # What the physics cut off is a failure, whatever its return.
+        # Returns of episodes that the physics cut off say nothing.
         whole = [e for e in self._episodes if not e.faults["diverged"]]
         returns = [sum(episode.rewards) for episode in whole]
         if not returns:

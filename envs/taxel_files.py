@@ -64,7 +64,11 @@ def point(data: Any, number: int) -> Point:
             raise ValueError(
                 f"{where}: normal: found {list(table.normal)}, expected a unit vector"
             )
-        normal = tuple((np.array(table.normal) / length).tolist())
+        normal = table.normal
+        if (
+            abs(length - 1.0) > 1e-9
+        ):  # else what was read comes out again to the last digit
+            normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
     return Point(
         table.link, table.position, normal, table.radius, name, table.threshold_N

@@ -108,6 +108,13 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "left out, as they move freely beside the hand: ": [
             body.name for body in loose if body.name not in bodies
         ],
+        "let go, as the model fixes them to the world: ": [
+            body
+            for equality in spec.equalities
+            if mount.is_fixed_to_world(spec, equality)
+            for body in mount.ends(spec, equality)
+            if body in bodies and body != "world"
+        ],
         "left out of pictures, as their files are missing or cannot be read: meshes ": (
             model_file.undrawable(spec)
         ),
@@ -119,7 +126,9 @@ def _notes(parts: Parts) -> tuple[str, ...]:
             for joint in parts.raw.joints
             if joint.name in parts.driven
             and mount.is_unranged(joint)
-            and mount.is_endless(parts.spec.actuator(parts.driven[joint.name]))
+            and mount.has_no_control_range(
+                parts.spec.actuator(parts.driven[joint.name])
+            )
         ],
     }
     return tuple(text + ", ".join(names) for text, names in notes.items() if names)

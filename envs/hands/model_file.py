@@ -40,7 +40,7 @@ def read(path: Path) -> mujoco.MjSpec:
         if is_urdf or len(files) > 1:
             text = ElementTree.tostring(root, encoding="unicode")
         spec = mujoco.MjSpec.from_string(text)
-    _take_world(spec)
+    _leave_out_world(spec)
     n_bodies, n_geoms = len(spec.bodies), len(spec.geoms)
     if n_bodies > MOST_BODIES or n_geoms > MOST_GEOMS:
         raise ValueError(
@@ -50,7 +50,7 @@ def read(path: Path) -> mujoco.MjSpec:
     spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
     for number, body in enumerate(spec.bodies):
-        body.name = body.name or f"body {number}"
+        body.name = body.name or f"unnamed body {number}"
     for number, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or f"{actuator.target} {number}"
         figures = [*actuator.gear, *actuator.gainprm, *actuator.biasprm]
@@ -65,13 +65,25 @@ def read(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _take_world(spec: mujoco.MjSpec) -> None:
-    """Remove what a model says about the world around it, which a scene has of its own."""
-    for name in ("gravity", "wind", "density", "viscosity", "disableactuator"):
+def _leave_out_world(spec: mujoco.MjSpec) -> None:
+    """Remove what a model says about the world around it, which a scene has of its own.
+
+    Remove disabled actuators too. Raise ValueError where a total mass is given, which would be that
+    of the whole scene.
+    """
+    if getattr(spec.compiler, "settotalmass", -1) > 0:  # MuJoCo is going to drop it
+        raise ValueError(
+            "model: found settotalmass, allowed masses or densities of the parts"
+        )
+    for name in ("gravity", "wind", "density", "viscosity"):
         setattr(spec.option, name, getattr(EMPTY_SPEC.option, name))
     spec.option.disableflags &= ~WORLD_FLAGS
-    spec.compiler.settotalmass = EMPTY_SPEC.compiler.settotalmass
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
     spec.memory = EMPTY_SPEC.memory
+    for actuator in list(spec.actuators):
+        if spec.option.disableactuator >> actuator.group & 1:
+            spec.delete(actuator)
+    spec.option.disableactuator = 0
 
 
 def parsed(path: Path) -> tuple[Element, list[Path]]:

@@ -194,9 +194,9 @@ class Mount:
         spec = model_file.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
-        sites = (site for site in spec.sites if site.name in (OBJECT, GIVER))
+        sites = [site for site in spec.sites if site.name in (OBJECT, GIVER)]
         for element in (*spec.bodies, *spec.joints, *spec.geoms, *sites):
-            if element.name in (*RESERVED, GIVER):
+            if element.name in RESERVED or element in sites:
                 raise ValueError(
                     f"model: found a part called {element.name!r}, which something else in every scene "
                     "is called; rename it"
@@ -250,7 +250,7 @@ class Mount:
             *spec.cameras,
             *spec.keys,
             *(mesh for mesh in spec.meshes if mesh.name not in used),
-            *filter(is_held, spec.equalities),
+            *(e for e in spec.equalities if alone and is_fixed_to_world(spec, e)),
             *(g for g in spec.worldbody.geoms if alone or g.type in flat),
         ):
             spec.delete(element)
@@ -297,7 +297,7 @@ class Mount:
         for actuator in spec.actuators:
             for name in arms(spec, actuator):
                 joint = spec.joint(name)
-                if is_unranged(joint) and is_endless(actuator):
+                if is_unranged(joint) and has_no_control_range(actuator):
                     end = DEFAULT_RANGES[joint.type] / _unit(joint)
                     joint.range = [-end, end]
                     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -364,19 +364,29 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
     """Return the bodies of each loop that an equality of the model closes."""
     loops_closed = []
     for equality in spec.equalities:
-        if equality.type in LOOPS and equality.active and equality.name2:
-            ends = equality.name1, equality.name2
-            if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
-                ends = tuple(spec.site(name).parent.name for name in ends)
-            first, second = (set(chain(spec.body(name))) for name in ends)
+        if (
+            equality.type in LOOPS
+            and equality.active
+            and not is_fixed_to_world(spec, equality)
+        ):
+            first, second = (
+                set(chain(spec.body(name))) for name in ends(spec, equality)
+            )
             loops_closed.append(first ^ second)
     return loops_closed
 
 
-def is_held(equality: mujoco.MjsEquality) -> bool:
+def ends(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, str]:
+    """Return the bodies that a weld or a connection joins."""
+    first, second = equality.name1, equality.name2 or "world"
+    if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
+        return spec.site(first).parent.name, spec.site(second).parent.name
+    return first, second
+
+
+def is_fixed_to_world(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> bool:
     """Return whether an equality fixes a body to the world."""
-    ends = {equality.name1, equality.name2}
-    return equality.type in LOOPS and bool(ends & {"", "world"})
+    return equality.type in LOOPS and "world" in ends(spec, equality)
 
 
 def is_loose(body: mujoco.MjsBody) -> bool:
@@ -406,7 +416,7 @@ def is_unranged(joint: mujoco.MjsJoint) -> bool:
     )
 
 
-def is_endless(actuator: mujoco.MjsActuator) -> bool:
+def has_no_control_range(actuator: mujoco.MjsActuator) -> bool:
     """Return whether an actuator's control has no range."""
     is_free = actuator.ctrllimited == mujoco.mjtLimited.mjLIMITED_FALSE
     return bool(is_free or actuator.ctrlrange[0] == actuator.ctrlrange[1])

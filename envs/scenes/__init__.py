@@ -78,5 +78,17 @@ def load(name: str) -> NamedScene:
         scene = {**base.on(named.env), **data.get("scene", {})}
         for length in named.scaled:
             require_one_of(sorted(LENGTHS & scene.keys()), length, "scaled")
-    train = {**base.train, **named.train}
+    train = _merged(base.train, data.get("train", {}))
     return dataclasses.replace(named, scene=scene, train=train)
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return flags of training on top of those of a base; of another learner, its table's."""
+    tables = {name: x for name, x in base.items() if isinstance(x, dict)}
+    if own.get("algo", base.get("algo")) != base.get("algo"):
+        flags = tables.pop(own["algo"], {})
+        base = {**tables, **flags}
+    merged = {**base, **own}
+    for name in tables.keys() & own.keys():
+        merged[name] = {**tables[name], **own[name]}
+    return merged

@@ -92,10 +92,13 @@ def main(args: list[str]) -> int:
     with_touch = [row for row in rows if row[1].name == "touch"]
     others = [result for result in results if result.name != "touch"]
     label = partial(_label, layout_names, thresholds)
-    sentences = []
-    for variant, result in with_touch:
-        verdict = gate.verdict([*others, result])
-        sentences.append(": ".join([*label(variant), verdict]))
+    verdicts = [gate.verdict([*others, result]) for _, result in with_touch]
+    sentences = verdicts[:1]
+    if len({*verdicts}) > 1:
+        sentences = [
+            f"{label(variant)}: {verdict}"
+            for (variant, _), verdict in zip(with_touch, verdicts, strict=True)
+        ]
     if thresholds:
         blind = gate.without_touch(results).rate
         for layout in layout_names or [scene.layout]:
@@ -134,24 +137,22 @@ def _newtons(text: str) -> float:
         raise ValueError(f"taxel_threshold: found {text!r}, allowed numbers") from None
 
 
-def _label(
-    layout_names: list[str], thresholds: list[str], variant: GraspConfig
-) -> list[str]:
+def _label(layout_names: list[str], thresholds: list[str], variant: GraspConfig) -> str:
     """Return what tells a variant from the others: its layout and threshold, or nothing."""
     parts = [f"layout {variant.layout}"] if len(layout_names) > 1 else []
     if len(thresholds) > 1:
         parts.append(f"{variant.taxel_threshold:g} N")
-    return [", ".join(parts)] if parts else []
+    return ", ".join(parts)
 
 
-def _table(rows: list[Row], label: Callable[[GraspConfig], list[str]]) -> Table:
+def _table(rows: list[Row], label: Callable[[GraspConfig], str]) -> Table:
     """Return a line for each scripted hand, in the order of their senses."""
     table = Table("scripted hand", "switches when", "success", "95 % interval")
     rows.sort(key=lambda row: list(gate.SENSES).index(row[1].name))
     for variant, result in rows:
         name, (low, high) = result.name, result.interval
         if name == "touch":
-            name = ", ".join([name, *label(variant)])
+            name = ", ".join(filter(None, [name, label(variant)]))
         when = gate.SENSES[result.name][1]
         table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
     return table

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from ..errors import InputError, extra, input_errors
 from ..files import pasted, require_new
+from ..machine import free_cores
 from ..study import executors, grid, jobs, records
 from ..study.jobs import Job
 from ..study.records import Record, StudyFiles
@@ -73,7 +74,9 @@ class Run:
                 record, n_ended = files.record(job.run), len(endings)
                 text = f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
                 text += duration(record.seconds)
-                if n_ended >= (self.jobs or 1):  # before, the others are half done
+                if n_ended >= (
+                    self.jobs or free_cores()
+                ):  # before, the others are half done
                     left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
                     text += f"  ETA {duration(left)}"
                 console.print(text)
@@ -82,10 +85,12 @@ class Run:
         n_failed = _print_failures(map(files.record, runs))
         if n_busy := endings.count("busy"):
             console.print(f"{n_busy} runs are trained by another `study run`")
-        if n_left := endings.count("interrupted"):
-            console.print(f"{n_left} runs were interrupted; the same command goes on")
+        if n_interrupted := endings.count("interrupted"):
+            console.print(
+                f"interrupted: {n_interrupted}; run the same command to go on"
+            )
         console.print(f"  tactilerl study report {pasted(files.path)}")
-        return 1 if n_failed or n_left else 0
+        return 1 if n_failed or n_interrupted else 0
 
 
 def _counts(all_records: Iterable[Record]) -> dict[str, int]:

@@ -233,11 +233,12 @@ def defaults(
         env = env or named.env
         others = {name: x for name, x in named.train.items() if isinstance(x, dict)}
         require_known(others, algos.ALGORITHMS, "train")
-        train = {"algo": RunOptions.algo, "recipe": recipes.PAPER, **named.train}
-        if algo and algo != train["algo"]:
-            train = {"algo": algo, "recipe": recipes.PAPER, **others.get(algo, {})}
-        train = {name: x for name, x in train.items() if name not in others}
-        algo, usual = train.pop("algo"), train.pop("recipe")
+        its_own = named.train.get("algo", RunOptions.algo)
+        algo = algo or its_own
+        train = {"recipe": recipes.PAPER, **(named.train if algo == its_own else {})}
+        train |= others.get(algo, {})
+        train = {name: x for name, x in train.items() if name not in {"algo", *others}}
+        usual = train.pop("recipe")
         require_one_of(algos.ALGORITHMS, algo, "algo")
         paper, grasp = algos.ALGORITHMS[algo], None
         learner = recipes.recipe(algo, recipe or usual)

@@ -126,6 +126,7 @@ class RunDir:
         self.table = path / "progress.csv"
         self.checkpoint_file = path / "checkpoint.pt"
         self.experience_folder = path / "experience"
+        self.layout_file = path / LAYOUT_COPY
 
     def settled(self, config: RunConfig) -> RunConfig:
         """Return the configuration of a run here; InputError where another run is here already."""
@@ -138,19 +139,6 @@ class RunDir:
                 "makes another run)"
             )
         return dataclasses.replace(config, folder=self.path, hand=saved.hand)
-
-    def require_same_files(self, config: RunConfig) -> None:
-        """Raise InputError where the hand or the layout of this run was another when it began."""
-        env, layout = config.run.env, config.layout_file
-        digest = self.record().get("hand")
-        hint = "put the old one back, or choose another --out"
-        if digest and hands.digest(env) != digest:
-            raise InputError(f"hand {env}: has changed since this run began; {hint}")
-        copy = self.path / LAYOUT_COPY
-        if layout and copy.exists() and _layout(copy) != _layout(layout):
-            raise InputError(
-                f"layout {layout}: has changed since this run began; {hint}"
-            )
 
     def create(self) -> None:
         """Make the folder where there is none; InputError where it holds something else."""
@@ -184,9 +172,9 @@ class RunDir:
             with replacing(copy) as file:
                 file.write(_hand_file(hands.file(env)))
             digest = hands.digest(str(copy))
-        if config.layout_file and (begins or not (self.path / LAYOUT_COPY).exists()):
-            with replacing(self.path / LAYOUT_COPY) as file:
-                file.write(_layout(config.layout_file).encode())
+        if config.layout_file and (begins or not self.layout_file.exists()):
+            with replacing(self.layout_file) as file:
+                file.write(layouts.load(str(config.layout_file)).toml().encode())
         content = {"format": FORMAT, **config.as_dict(), "ranks": ranks}
         content |= {"provenance": origins, "hand": digest}
         with replacing(self.config_file) as file:
@@ -277,11 +265,6 @@ class RunDir:
                 f"{path}: from another configuration than config.json ({difference})"
             )
         return data
-
-
-def _layout(path: Path) -> str:
-    """Return a layout file's content in one form."""
-    return layouts.load(str(path)).toml()
 
 
 def _hand_file(path: Path) -> bytes:

@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import filelock
+import numpy as np
 
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
-from ..envs import plugins
+from ..envs import hands, layouts, plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
 from ..files import no_link
 from ..runs.config import RunConfig, from_dict
@@ -43,7 +44,8 @@ THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # The first thing that a run's process does: from then on it ends with its parent.
 BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
 BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
-Ending = Literal["done", "failed", "busy", "interrupted"]
+Ending = Literal["done", "failed", "busy", "interrupted", "gone"]
+"""How a job ended; of a run that is gone, somebody took it out of the study meanwhile."""
 
 _children: set[subprocess.Popen[bytes]] = set()
 _stopping = threading.Event()
@@ -81,7 +83,7 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
             config = run.config()
             if record.config:
                 _require_same(record, config)
-                files.run_dir(run).require_same_files(config)
+                _require_same_layout(files.run_dir(run).layout_file, config)
             if record.state == "left" and run.place not in made:
                 made.add(run.place)
                 learner, workers = make_algorithm(config, Communicator())
@@ -106,11 +108,31 @@ def _require_same(record: Record, wanted: RunConfig) -> None:
         )
     if found > steps and "total_timesteps" not in record.run.flags:
         raise InputError(
-            f"total_timesteps: found none, which means {found}; this run was made with {steps}"
+            f"total_timesteps: found {found}, by default, and {steps} in this run; give it in the "
+            "study file"
         )
     if difference := made.difference(wanted.identity()):
         hint = "give this study another --out, or move that folder away"
         raise InputError(f"{difference}; {hint}")
+
+
+def _require_same_layout(copy: Path, config: RunConfig) -> None:
+    """Raise InputError where the layout's file says other taxels than the run's `copy` of it."""
+    file = config.layout_file
+    if not (file and file.is_file() and copy.is_file()):
+        return
+    with input_errors():
+        hand = hands.get(config.run.env)
+        made, found = (layouts.load(str(path)).place(hand) for path in (copy, file))
+    was, now = (
+        np.column_stack([taxels.positions, taxels.radii, taxels.thresholds])
+        for taxels in (made, found)
+    )
+    if made.links != found.links or not np.allclose(was, now, rtol=0.0, atol=1e-6):
+        raise InputError(
+            f"layout {file}: found other taxels than when this run began; put the old file back, or "
+            "give this study another --out"
+        )
 
 
 def run_all(
@@ -182,8 +204,8 @@ def _train(files: StudyFiles, job: Job) -> Ending:
             break
     if code == 0 and files.record(job.run).state == "done":
         return "done"
-    if job.run not in files.study().runs():  # another `study run` changed the study
-        return "interrupted"
+    if job.run.name not in {run.name for run in files.study().runs()}:
+        return "gone"
     files.write_failure(job.run, _reason(code, log, begin))
     return "failed"
 

@@ -349,7 +349,7 @@ class TestUndo:
             assert (self.parts(ppo) == before) == (len(undone) == 1)
         assert undone == [0, 1, 0, 1]
 
-    def test_an_episode_that_the_physics_cut_off_is_one_of_the_failures(self):
+    def test_an_episode_that_the_physics_cut_off_does_not_count(self):
         env = Switch()
         ppo = make_ppo(vector.start(lambda: env), undo_silent=True)
         ppo.collect()

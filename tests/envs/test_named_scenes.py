@@ -50,6 +50,21 @@ class TestOtherLearner:
         config = configure({"scene": "handover"})
         assert (config.run.algo, config.run.total_timesteps) == ("ppo", 30_000)
 
+    @pytest.mark.parametrize(
+        ("train", "algo", "steps", "n_batches"),
+        [
+            ('algo = "ddpg_her"', None, 8_000, 40),
+            ('algo = "ddpg_her"\ntotal_timesteps = 70', None, 70, 40),
+            ("[train.ddpg_her]\nn_batches = 5", "ddpg_her", 8_000, 5),
+        ],
+    )
+    def test_a_scene_that_builds_on_another_says_what_differs(self, train, algo, steps, n_batches):
+        head = "" if train.startswith("[") else "[train]\n"
+        Path("mine.toml").write_text(f'base = "handover"\n{head}{train}\n')
+        config = configure({"scene": "mine.toml", **({"algo": algo} if algo else {})})
+        assert (config.run.algo, config.run.total_timesteps) == ("ddpg_her", steps)
+        assert (config.learner.random_hold, config.learner.n_batches) == (8.0, n_batches)
+
     def test_a_slip_in_its_name(self):
         Path("mine.toml").write_text('base = "handover"\n[train.dpg_her]\nrecipe = "steady"\n')
         with pytest.raises(InputError, match="did you mean ddpg_her"):

@@ -307,6 +307,7 @@ NO_HANDS = [
     (on_palm("<freejoint/>").replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \("),
     (on_palm('<body name="object"/>'), TOML, "found a part called 'object'"),
     (on_palm('<site name="giver"/>'), TOML, "found a part called 'giver'"),
+    (with_more('<compiler settotalmass="1"/>'), TOML, "found settotalmass, allowed masses"),
     (
         on_palm(f"<replicate count='1001'><body>{PALM}</body></replicate>"),
         TOML,
@@ -370,18 +371,24 @@ class TestModels:
 
     def test_what_a_model_says_about_the_world_is_left_out(self, made):
         world = (
-            '<compiler settotalmass="0.5"/><option gravity="0 0 9" density="1000" viscosity="1">'
-            '<flag gravity="disable" contact="disable"/></option><size memory="20K"/>'
-            '<equality><weld body1="palm"/></equality>'
+            '<option gravity="0 0 9" density="9" wind="1 0 0" o_margin="1" actuatorgroupdisable="3">'
+            '<flag gravity="disable" contact="disable" override="enable"/></option>'
+            '<size memory="20K"/><equality><weld body1="palm"/><weld site1="p" site2="w"/></equality>'
         )
+        off = servos(*ALL[:2]).replace("/>", ' group="3"/>')
+        model = with_more(world, off).replace(PALM, PALM + '<site name="p"/>')
+        model = model.replace("<worldbody>", '<worldbody><site name="w"/>')
         usual, changed = (
             GraspEnv(path, setup(path, layout="5")).simulator.model
-            for path in (made(), made(with_more(world)))
+            for path in (made(), made(model, name="tied.xml"))
         )
-        for name in ("gravity", "density", "viscosity", "disableflags"):
+        for name in ("gravity", "density", "wind", "disableflags", "enableflags"):
             assert np.all(getattr(changed.opt, name) == getattr(usual.opt, name)), name
         assert (changed.body_mass == usual.body_mass).all()
-        assert (changed.neq, changed.narena) == (usual.neq, usual.narena)
+        assert (changed.neq, changed.nu, changed.narena) == (usual.neq, usual.nu, usual.narena)
+        assert hands.get(made(model)).notes == (
+            "let go, as the model fixes them to the world: palm, palm",
+        )
 
     def test_bodies_need_no_names(self, made, simulator):
         model = MODEL.replace('name="l_1" ', "").replace('name="r_1" ', "")

@@ -63,7 +63,7 @@ class TestRun:
         [
             ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
             ("total_timesteps = 200", "total_timesteps = 100", "found 100, allowed 200"),
-            ("total_timesteps = 200", "", "this run was made with 200"),
+            ("total_timesteps = 200", "", "by default, and 200 in this run"),
             ('"tiny"', '"other"', "holds tiny, not the study 'other'"),
         ],
     )
@@ -121,7 +121,8 @@ class TestBeforeItStarts:
 
     def test_a_layout_that_was_changed_since(self, tmp_path, capsys):
         layout, study = tmp_path / "own.toml", write(tmp_path)
-        layout.write_text("[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n")
+        place = '[[taxel]]\nlink = "robot0:ffdistal"\nposition = [0, -0.007, 0.017]\n'
+        layout.write_text(place + "normal = [0.1, -0.97, 0.11]\nradius = 0.002\n")
         study.write_text(
             f'name = "x"\n[setups.x]\nenv = "shadow"\nlayout = "{layout}"\ntotal_timesteps = 1\n'
             "steps_per_epoch = 1\nhidden = [8]\nn_passes = 1\nmax_episode_steps = 2\n"
@@ -129,12 +130,14 @@ class TestBeforeItStarts:
         out = trained(tmp_path, study.read_text())
         args = ["study", "run", study, "--out", out]
         assert "0 to do" in printed(capsys, args)
-        layout.write_text(layout.read_text().replace("= 2", "= 3"))
-        fails_with(capsys, args, "own.toml: has changed since this run began")
+        layout.rename(tmp_path / "away.toml")
+        assert "0 to do" in printed(capsys, args)  # each run has its own copy
+        layout.write_text((tmp_path / "away.toml").read_text().replace("0.002", "0.003"))
+        fails_with(capsys, args, "own.toml: found other taxels than when this run began")
 
 
 class TestFailures:
-    def test_a_run_that_the_study_has_no_more_has_not_failed(self, copied, capsys):
+    def test_a_run_that_was_taken_out_of_the_study_has_not_failed(self, copied, capsys):
         study = copied.study()
         first, second = study.runs()
         shutil.rmtree(copied.run_dir(second).path)
@@ -142,7 +145,7 @@ class TestFailures:
         fewer["setups"][0]["grid"]["polyak"] = [first.flags["polyak"]]
         fewer["setups"][0]["compare"] = None
         copied.create(grid.from_dict(fewer))
-        assert jobs.make_done(jobs.Job(copied.path, second)) == "interrupted"
+        assert jobs.make_done(jobs.Job(copied.path, second)) == "gone"
         assert not copied.beside(second, "json").exists()
 
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
