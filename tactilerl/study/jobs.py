@@ -45,7 +45,7 @@ THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
 BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 Ending = Literal["done", "failed", "busy", "interrupted", "gone"]
-"""How a job ended; of a run that is gone, somebody took it out of the study meanwhile."""
+"""Ending of a job. A run that is gone was taken out of the study meanwhile."""
 
 _children: set[subprocess.Popen[bytes]] = set()
 _stopping = threading.Event()
