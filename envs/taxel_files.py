@@ -65,9 +65,8 @@ def point(data: Any, number: int) -> Point:
                 f"{where}: normal: found {list(table.normal)}, expected a unit vector"
             )
         normal = table.normal
-        if (
-            abs(length - 1.0) > 1e-9
-        ):  # else what was read comes out again to the last digit
+        # A unit vector stays as it is, so that a copy of the file is read as the file was.
+        if abs(length - 1.0) > 1e-9:
             normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
     return Point(

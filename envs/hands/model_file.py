@@ -19,6 +19,7 @@ PACKAGE = "package://"
 MOST_BODIES, MOST_GEOMS = 1_000, 5_000
 LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
 MAX_RADIANS = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
+# What a scene decides, and no hand:
 WORLD_FLAGS = sum(
     int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{what}"))
     for what in ("GRAVITY", "CONTACT", "CONSTRAINT", "ACTUATION", "SENSOR")

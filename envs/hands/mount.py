@@ -377,10 +377,15 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
 
 
 def ends(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, str]:
-    """Return the bodies that a weld or a connection joins."""
-    first, second = equality.name1, equality.name2 or "world"
-    if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
-        return spec.site(first).parent.name, spec.site(second).parent.name
+    """Return the bodies that a weld or a connection joins; ValueError where the model lacks one."""
+    by_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
+    kind, find = ("site", spec.site) if by_sites else ("body", spec.body)
+    names = []
+    for name in (equality.name1, equality.name2 or "world"):
+        if (part := find(name)) is None:
+            raise ValueError(f"model: equality: found no {kind} called {name!r}")
+        names.append(part.parent.name if by_sites else part.name)
+    first, second = names
     return first, second
 
 
@@ -414,6 +419,12 @@ def is_unranged(joint: mujoco.MjsJoint) -> bool:
     return joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or bool(
         is_auto and joint.range[0] == joint.range[1]
     )
+
+
+def fixed_to_world(spec: mujoco.MjSpec) -> set[str]:
+    """Return the bodies that equalities fix to the world."""
+    fixed = [one for one in spec.equalities if is_fixed_to_world(spec, one)]
+    return {name for one in fixed for name in ends(spec, one)} - {"world"}
 
 
 def has_no_control_range(actuator: mujoco.MjsActuator) -> bool:

@@ -86,9 +86,10 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """Return flags of training on top of those of a base; of another learner, its table's."""
     tables = {name: x for name, x in base.items() if isinstance(x, dict)}
     if own.get("algo", base.get("algo")) != base.get("algo"):
-        flags = tables.pop(own["algo"], {})
+        flags = tables.pop(str(own["algo"]), {})
         base = {**tables, **flags}
     merged = {**base, **own}
-    for name in tables.keys() & own.keys():
-        merged[name] = {**tables[name], **own[name]}
+    for name, table in tables.items():
+        if isinstance(merged[name], dict):
+            merged[name] = {**table, **merged[name]}
     return merged

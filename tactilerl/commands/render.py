@@ -16,6 +16,7 @@ from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..files import require_new
 from ..pictures import render
+from ..terminal import flags
 from ..terminal.console import console, progress
 from .grasps import require_grasp
 from .scene import layout_notes, read_scene
@@ -72,8 +73,8 @@ def main(args: list[str]) -> int:
             needed = "without" if read.run else "with"
             raise InputError(f"{flag}: allowed only {needed} a run folder")
     if read.run:
-        names = {arg.partition("=")[0].replace("_", "-") for arg in args}
-        hold_seconds = _hold_seconds(read, scene, "--hold-seconds" in names)
+        given = flags.peek(args, "hold-seconds", "hold_seconds")
+        hold_seconds = _hold_seconds(read, scene, bool(given["hold_seconds"]))
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
         if read.video is None and len(read.run) == 1 and has_screen:
             _watch(read.run[0], read.episodes, hold_seconds)

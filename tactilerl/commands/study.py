@@ -74,9 +74,8 @@ class Run:
                 record, n_ended = files.record(job.run), len(endings)
                 text = f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
                 text += duration(record.seconds)
-                if n_ended >= (
-                    self.jobs or free_cores()
-                ):  # before, the others are half done
+                # Before the first of each job has ended, the others are half done.
+                if n_ended >= (self.jobs or free_cores()):
                     left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
                     text += f"  ETA {duration(left)}"
                 console.print(text)

@@ -234,7 +234,7 @@ def defaults(
         others = {name: x for name, x in named.train.items() if isinstance(x, dict)}
         require_known(others, algos.ALGORITHMS, "train")
         its_own = named.train.get("algo", RunOptions.algo)
-        algo = algo or its_own
+        algo = algo or validation.require_type(its_own, str, "algo")
         train = {"recipe": recipes.PAPER, **(named.train if algo == its_own else {})}
         train |= others.get(algo, {})
         train = {name: x for name, x in train.items() if name not in {"algo", *others}}

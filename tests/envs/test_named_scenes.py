@@ -65,9 +65,17 @@ class TestOtherLearner:
         assert (config.run.algo, config.run.total_timesteps) == ("ddpg_her", steps)
         assert (config.learner.random_hold, config.learner.n_batches) == (8.0, n_batches)
 
-    def test_a_slip_in_its_name(self):
-        Path("mine.toml").write_text('base = "handover"\n[train.dpg_her]\nrecipe = "steady"\n')
-        with pytest.raises(InputError, match="did you mean ddpg_her"):
+    @pytest.mark.parametrize(
+        ("train", "complaint"),
+        [
+            ("[train.dpg_her]", "train.dpg_her: unknown; did you mean ddpg_her"),
+            ('[train]\nalgo = ["ppo"]', "algo: found .'ppo'., allowed a string"),
+            ("[train]\nddpg_her = 3", "ddpg_her: unknown"),
+        ],
+    )
+    def test_what_is_wrong_is_named(self, train, complaint):
+        Path("mine.toml").write_text(f'base = "handover"\n{train}\n')
+        with pytest.raises(InputError, match=complaint):
             configure({"scene": "mine.toml"})
 
 

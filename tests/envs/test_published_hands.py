@@ -308,6 +308,12 @@ NO_HANDS = [
     (on_palm('<body name="object"/>'), TOML, "found a part called 'object'"),
     (on_palm('<site name="giver"/>'), TOML, "found a part called 'giver'"),
     (with_more('<compiler settotalmass="1"/>'), TOML, "found settotalmass, allowed masses"),
+    (with_more('<equality><weld body1="no"/></equality>'), TOML, "found no body called 'no'"),
+    (
+        with_more('<equality><weld site1="no" site2="no"/></equality>'),
+        TOML,
+        "found no site called 'no'",
+    ),
     (
         on_palm(f"<replicate count='1001'><body>{PALM}</body></replicate>"),
         TOML,
@@ -386,9 +392,7 @@ class TestModels:
             assert np.all(getattr(changed.opt, name) == getattr(usual.opt, name)), name
         assert (changed.body_mass == usual.body_mass).all()
         assert (changed.neq, changed.nu, changed.narena) == (usual.neq, usual.nu, usual.narena)
-        assert hands.get(made(model)).notes == (
-            "let go, as the model fixes them to the world: palm, palm",
-        )
+        assert hands.get(made(model)).notes == ("let go, as the model fixes them to the world: palm",)
 
     def test_bodies_need_no_names(self, made, simulator):
         model = MODEL.replace('name="l_1" ', "").replace('name="r_1" ', "")
