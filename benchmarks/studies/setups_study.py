@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,12 +22,15 @@ from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
 from benchmarks.command import data, markdown
+from benchmarks.studies.learner_tables import DEAD, part
 from benchmarks.studies.study_tables import estimate, in_common, load, number, title
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
 CHOSEN, NONE = LAYOUTS[-1], "no touch"
-ORDER = ("ppo", "ddpg_her", "mpl", "shadow", "allegro", "mujoco", "pybullet")
+LEARNERS = ("ppo", "ddpg_her")
+ORDER = (*LEARNERS, "mpl", "shadow", "allegro", "mujoco", "pybullet")
 N_PERMUTATIONS = 50_000
+N_SIMULATED = 5_000  # studies without an interaction
 MARGIN = 0.05  # by which chosen taxels may be behind
 
 
@@ -42,10 +45,10 @@ class SetUp(NamedTuple):
         return ", ".join(style.NAMES[part] for part in (self.hand, self.simulator, self.learner))
 
 
-Learned = dict[SetUp, dict[str, BySeed]]
-"""A score by set-up, layout (or no touch) and seed."""
 Groups = dict[SetUp, Array]
 """A score of each set-up, (layouts and no touch, seeds)."""
+Score = Callable[[dict[str, list[Record]]], dict[str, BySeed]]
+"""Return a score by layout and seed, of a set-up's runs by layout."""
 
 
 def place(record: Record) -> tuple[SetUp, str]:
@@ -56,62 +59,91 @@ def place(record: Record) -> tuple[SetUp, str]:
     return SetUp(run["algo"], run["env"], scene["simulator"]), layout
 
 
-def learned(score: str) -> Learned:
-    """Return the scores of all finished runs, over the steps that all runs of a set-up have."""
+def by_layout() -> dict[SetUp, dict[str, list[Record]]]:
+    """Return the finished runs by set-up, and by layout or no touch."""
     groups: dict[SetUp, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
     for record in load("setups")[1]:
         if record.is_finished:
             setup, layout = place(record)
             groups[setup][layout].append(record)
+    in_order = sorted(groups.items(), key=lambda item: [*map(ORDER.index, item[0])])
+    return {setup: dict(runs) for setup, runs in in_order}
+
+
+def over_run(groups: dict[str, list[Record]]) -> dict[str, BySeed]:
+    """Return mean success over the steps that all runs of a set-up have."""
+    return dict(zip(groups, study_pairs.scored("area", *groups.values()), strict=True))
+
+
+def at_end(groups: dict[str, list[Record]]) -> dict[str, BySeed]:
+    """Return mean success over the last fifth of each run of a set-up."""
     return {
-        setup: dict(zip(runs, study_pairs.scored(score, *runs.values()), strict=True))
-        for setup, runs in sorted(groups.items(), key=lambda item: [*map(ORDER.index, item[0])])
+        layout: {record.run.seed: part(record, 0.8) for record in runs}
+        for layout, runs in groups.items()
     }
 
 
-def in_whole_seeds(score: str) -> Groups:
+def in_whole_seeds(score: Score = over_run) -> Groups:
     """Return set-ups with two seeds or more that have a run of each layout and one without touch."""
-    found: Groups = {}
-    for setup, of in learned(score).items():
-        seeds, groups = in_common([of.get(name, {}) for name in (*LAYOUTS, NONE)])
+    scores: Groups = {}
+    for setup, groups in by_layout().items():
+        by_seed = score(groups)
+        seeds, values = in_common([by_seed.get(name, {}) for name in (*LAYOUTS, NONE)])
         if len(seeds) >= 2:
-            found[setup] = groups
-    return found
+            scores[setup] = values
+    return scores
 
 
-def gains(score: str = "area") -> Groups:
-    """Return touch minus no touch within seeds, (layouts, seeds)."""
-    return {setup: groups[:-1] - groups[-1] for setup, groups in in_whole_seeds(score).items()}
+def in_mujoco(score: Score = over_run) -> Groups:
+    """Return touch minus no touch within seeds, (layouts, seeds), in the set-ups of MuJoCo."""
+    return {
+        setup: groups[:-1] - groups[-1]
+        for setup, groups in in_whole_seeds(score).items()
+        if setup.simulator == "mujoco"
+    }
 
 
 def show_worth() -> None:
     """Print what touch adds in each set-up: the mean over the layouts within each seed."""
-    found = in_whole_seeds("area")
+    by_setup, ends = in_whole_seeds(), in_whole_seeds(at_end)
     # Five pairs cannot fall below 0.06 when signs are flipped, so these are t tests.
-    each = ((groups[:-1] - groups[-1]).mean(axis=0) for groups in found.values())
+    each = ((groups[:-1] - groups[-1]).mean(axis=0) for groups in by_setup.values())
     tests = [scipy.stats.ttest_1samp(gain, 0) for gain in each]
     rows = []
     corrected = statistics.holm([test.pvalue for test in tests])
-    for (setup, groups), test, p in zip(found.items(), tests, corrected, strict=True):
-        gain = groups[:-1].mean() - groups[-1].mean()
-        shown = estimate(Estimate(gain, *test.confidence_interval()), "+.2f")
-        rows.append((setup, groups.shape[1], f"{groups[-1].mean():.2f}", shown, p_value(p)))
-    markdown("| set-up | seeds | no touch | touch − no touch | p, Holm |", rows)
+    for (setup, groups), test, p in zip(by_setup.items(), tests, corrected, strict=True):
+        touch, none = groups[:-1].mean(), groups[-1].mean()
+        gain = estimate(Estimate(touch - none, *test.confidence_interval()), "+.2f")
+        end = ends[setup]
+        levels = (f"{level:.2f}" for level in (none, touch))
+        last = f"{end[:-1].mean():.2f}, {end[-1].mean():.2f}"
+        rows.append((setup, groups.shape[1], *levels, gain, p_value(p), last))
+    head = "| set-up | seeds | no touch | touch | touch − no touch | p, Holm |"
+    markdown(f"{head} last fifth: touch, no touch |", rows)
 
 
 def show_layouts() -> None:
     """Print what each layout reaches, and whether the chosen taxels are within MARGIN of all others."""
     rows = []
-    for setup, groups in in_whole_seeds("area").items():
+    for setup, groups in in_whole_seeds().items():
         *others, chosen = layouts = groups[:-1]
         at_least, is_within = compared(chosen, others)
-        n_dead = int((layouts < groups[-1].min()).sum())
         levels = [f"{level:.2f}" for level in layouts.mean(axis=1)]
         best = min(chosen.mean() - other.mean() for other in others)
         ahead = (number(value, "+.2f") for value in (best, at_least))
-        rows.append((setup, *levels, n_dead, *ahead, is_within))
+        rows.append((setup, *levels, *ahead, is_within))
     last = f"{CHOSEN} − the best of the paper's | lowest bound | within {MARGIN}"
-    markdown(f"| set-up | {' | '.join(LAYOUTS)} | runs below no touch | {last} |", rows)
+    markdown(f"| set-up | {' | '.join(LAYOUTS)} | {last} |", rows)
+
+
+def show_dead() -> None:
+    """Print how many runs end below DEAD, with touch and without."""
+    rows = []
+    for setup, groups in by_layout().items():
+        dead = {k: [part(one, 0.5) < DEAD for one in runs] for k, runs in groups.items()}
+        cells = (f"{sum(dead.get(k, []))} of {len(dead.get(k, []))}" for k in (*LAYOUTS, NONE))
+        rows.append((setup, *cells))
+    markdown(f"| set-up | {' | '.join((*LAYOUTS, NONE))} |", rows)
 
 
 def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
@@ -129,39 +161,79 @@ def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
 
 def show_chosen() -> None:
     """Print each layout's mean over the set-ups, and the chosen taxels minus it."""
-    by_setup = [*in_whole_seeds("area").values()]
+    by_setup = in_whole_seeds()
     chosen = LAYOUTS.index(CHOSEN)
     rows = []
     for i, name in enumerate((*LAYOUTS, NONE)):
-        level = np.mean([groups[i].mean() for groups in by_setup])
-        ahead = ""
+        cells = [f"{np.mean([groups[i].mean() for groups in by_setup.values()]):.2f}"]
         if name != CHOSEN:
-            differences = [groups[chosen] - groups[i] for groups in by_setup]
-            ahead = estimate(over_setups(differences), "+.2f")
-        rows.append((name, f"{level:.2f}", ahead))
-    markdown(f"| | mean over the set-ups | {CHOSEN} − this |", rows)
+            ahead = {setup: groups[chosen] - groups[i] for setup, groups in by_setup.items()}
+            pooled = [*ahead.values()]
+            cells.append(estimate(over_setups(pooled), "+.2f"))
+            cells.append(number(over_setups(pooled, 0.90).low, "+.2f"))
+            for learner in LEARNERS:
+                of_learner = [one for setup, one in ahead.items() if setup.learner == learner]
+                cells.append(estimate(over_setups(of_learner), "+.2f"))
+        rows.append((name, *cells, *[""] * (5 - len(cells))))
+    learners = " | ".join(style.NAMES[learner] for learner in LEARNERS)
+    markdown(f"| | mean over the set-ups | {CHOSEN} − this | lowest bound | {learners} |", rows)
 
 
-def over_setups(differences: Sequence[Array]) -> Estimate:
+def over_setups(differences: Sequence[Array], confidence: float = 0.95) -> Estimate:
     """Return the mean over these set-ups of differences (seeds,), with a t interval (Satterthwaite)."""
     value = float(np.mean([one.mean() for one in differences]))
     parts = np.array([one.var(ddof=1) / len(one) for one in differences])
     df = parts.sum() ** 2 / (parts**2 / [len(one) - 1 for one in differences]).sum()
     scale = np.sqrt(parts.sum()) / len(differences)
-    return Estimate(value, *scipy.stats.t.interval(0.95, df, value, scale))
+    return Estimate(value, *scipy.stats.t.interval(confidence, df, value, scale))
 
 
 def show_order() -> None:
-    """Print whether the set-ups put the layouts into the same order (Kendall's W)."""
+    """Print whether MuJoCo's set-ups put the layouts into the same order, and differ alike."""
     rows = []
-    for name, score in (("mean over the run", "area"), ("last tenth", "final")):
-        by_setup = gains(score)
-        values = np.array([one.mean(axis=1) for one in by_setup.values()])
-        hands = [setup.hand for setup in by_setup]
+    for name, score in (("mean over the run", over_run), ("last fifth", at_end)):
+        gains = in_mujoco(score)
+        values = np.array([one.mean(axis=1) for one in gains.values()])
         w, p = concordance(values, [str(i) for i in range(len(values))])
-        _, p_by_hand = concordance(values, hands)
-        rows.append((name, f"{w:.2f}", p_value(p), p_value(p_by_hand)))
-    markdown("| gain by | Kendall's W | p, by set-up | p, by hand |", rows)
+        _, p_by_hand = concordance(values, [setup.hand for setup in gains])
+        p_values = (p_value(one) for one in (p, p_by_hand, interaction([*gains.values()])))
+        rows.append((name, f"{w:.2f}", *p_values))
+    markdown("| gain by | Kendall's W | p, by set-up | p, by hand | p of set-up × layout |", rows)
+
+
+def interaction(gains: Sequence[Array]) -> float:
+    """Return the p-value of: layouts differ by the same amounts in all set-ups (layouts, seeds).
+
+    The F test of set-up x layout, whose null is drawn with each set-up's own noise, because noise
+    differs between set-ups. Layouts of one seed share what that seed does.
+    """
+
+    def ratio(blocks: Sequence[Array]) -> Array:
+        """Return the F statistic of studies, each set-up as (studies, layouts, seeds)."""
+        means = np.stack([one.mean(axis=-1) for one in blocks], axis=1)
+        weights = np.array([one.shape[-1] for one in blocks])[:, None]
+        means = means - means.mean(axis=2, keepdims=True)
+        common = (weights * means).sum(axis=1, keepdims=True) / weights.sum()
+        between = (weights * (means - common) ** 2).sum(axis=(1, 2))
+        within = sum((residuals(one) ** 2).sum(axis=(1, 2)) for one in blocks)
+        n_layouts = means.shape[2]
+        df = (len(blocks) - 1) * (n_layouts - 1), (weights - 1).sum() * (n_layouts - 1)
+        return (between / df[0]) / (within / df[1])
+
+    rng = np.random.default_rng(0)
+    noise = []
+    for one in gains:
+        df = (one.shape[0] - 1) * (one.shape[1] - 1)
+        std = np.sqrt((residuals(one[None]) ** 2).sum() / df)
+        noise.append(std * rng.standard_normal((N_SIMULATED, *one.shape)))
+    as_large = (ratio(noise) >= ratio([one[None] for one in gains])[0]).sum()
+    return float((1 + as_large) / (1 + N_SIMULATED))
+
+
+def residuals(values: Array) -> Array:
+    """Return values (studies, layouts, seeds) without the effects of layout and seed."""
+    values = values - values.mean(axis=1, keepdims=True)
+    return values - values.mean(axis=2, keepdims=True)
 
 
 def concordance(values: Array, blocks: Sequence[str]) -> tuple[float, float]:
@@ -184,21 +256,25 @@ def concordance(values: Array, blocks: Sequence[str]) -> tuple[float, float]:
 
 
 def prediction(
-    predictors: Sequence[Array], values: Array, blocks: Sequence[str]
+    predictor: Array, values: Array, blocks: Sequence[str], is_within: bool
 ) -> tuple[float, float]:
-    """Return the rank correlation of a predictor with values, averaged over set-ups, and p.
+    """Return the rank correlation of a predictor with values, both (setups, layouts), and its p.
 
-    Both have shape (setups, layouts). The exact two-sided test reorders the predictor in
-    all ways, which the set-ups of a block share.
+    Within set-ups, it is the mean of theirs; otherwise all values are ranked together. The exact
+    two-sided test reorders the predictor in all ways, which the set-ups of a block share.
     """
-    told, reached = (
-        scipy.stats.zscore(scipy.stats.rankdata(x, axis=-1), axis=-1) for x in (predictors, values)
-    )
+
+    def standardized(x: Array) -> Array:
+        ranks = scipy.stats.rankdata(x, axis=-1 if is_within else None)
+        axis = -1 if is_within else None
+        return scipy.stats.zscore(ranks, axis=axis).reshape(values.shape)
+
+    expected, reached = standardized(predictor), standardized(values)
     orders = np.array([*itertools.permutations(range(values.shape[1]))])
     names, sums = np.array(blocks), np.zeros(1)
     for name in dict.fromkeys(blocks):
         (members,) = np.nonzero(names == name)
-        by_order = told[members[0]][orders] @ reached[members].sum(axis=0)
+        by_order = expected[members[0]][orders] @ reached[members].sum(axis=0)
         sums = np.add.outer(sums, by_order).ravel()
     sums = np.round(sums / values.size, 9)
     return float(sums[0]), float((np.abs(sums) >= abs(sums[0])).mean())
@@ -206,29 +282,26 @@ def prediction(
 
 PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
     "number of taxels": lambda row: row["taxels"],
-    "success at the first touch, as the scene begins": lambda row: row["success"],
-    "success at the first touch, waiting at its best": lambda row: row["best"]["success"],
+    "success at the first touch": lambda row: row["success"],
 }
-"""What might predict the order of a hand's layouts (`python -m benchmarks design` of 0.4.0). The
-share of starts felt in time puts them into the same order as the second."""
-
-
-def predicted(name: str, setups: Iterable[SetUp]) -> dict[SetUp, Array]:
-    """Return what a predictor says of the four layouts in each set-up."""
-    of_hands, read = data("design")["hands"], PREDICTORS[name]
-    return {s: np.array([read(of_hands[s.hand][layout]) for layout in LAYOUTS]) for s in setups}
+"""What might predict the order of a hand's layouts (`python -m benchmarks design` of 0.4.0)."""
 
 
 def show_predictors() -> None:
-    """Print what predicts the order of layouts: rank correlations, averaged over set-ups."""
-    found = gains()
-    values = np.array([one.mean(axis=1) for one in found.values()])
-    rows = []
-    for name in PREDICTORS:
-        told = [*predicted(name, found).values()]
-        correlation, p = prediction(told, values, [setup.hand for setup in found])
-        rows.append((name, number(correlation, ".2f"), p_value(p)))
-    markdown("| predictor | mean rank correlation with the gain | p, by hand |", rows)
+    """Print what predicts gains in MuJoCo's set-ups: within a hand's layouts, and over hands too."""
+    gains = in_mujoco()
+    values = np.array([one.mean(axis=1) for one in gains.values()])
+    hands = [setup.hand for setup in gains]
+    of_hands, rows = data("design")["hands"], []
+    for name, read in PREDICTORS.items():
+        predictor = np.array([[read(of_hands[hand][layout]) for layout in LAYOUTS] for hand in hands])
+        cells = []
+        for is_within in (True, False):
+            correlation, p = prediction(predictor, values, hands, is_within)
+            cells += [number(correlation, ".2f"), p_value(p)]
+        rows.append((name, *cells))
+    head = "| predictor of the gain | rank correlation within a hand | p | over hands | p |"
+    markdown(head, rows)
 
 
 TABLES = {
@@ -237,4 +310,5 @@ TABLES = {
     "setups order": show_order,
     "setups predictors": show_predictors,
     "setups chosen": show_chosen,
+    "setups dead": show_dead,
 }
