@@ -19,7 +19,7 @@ from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, STYLE
 
 from benchmarks.command import DOCS, no_flags
-from benchmarks.studies import study_tables
+from benchmarks.studies import setups_study, study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
 # Collected study: its set-ups whose curves are drawn, and the pictures.
@@ -67,5 +67,6 @@ def main() -> None:
         unrolled("layouts", "shadow", [*layouts.PAPER], 2, "Shadow Hand: the paper's six layouts")
         unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: four chosen taxels, and layout 1")
         study_tables.draw(IMAGES)
+        setups_study.draw(IMAGES)
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

@@ -10,10 +10,12 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
+from matplotlib.figure import Figure
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import pairs as study_pairs
@@ -302,6 +304,28 @@ def show_predictors() -> None:
         rows.append((name, *cells))
     head = "| predictor of the gain | rank correlation within a hand | p | over hands | p |"
     markdown(head, rows)
+
+
+def draw(folder: Path) -> None:
+    """Draw what each layout reaches in each set-up, with t intervals over the seeds."""
+    by_setup = in_whole_seeds()
+    picture = Figure(figsize=(7, 0.5 + 0.55 * len(by_setup)), layout="constrained")
+    axes = picture.subplots()
+    places = np.arange(len(by_setup))
+    for i, name in enumerate((*LAYOUTS, NONE)):
+        scores = [groups[i] for groups in by_setup.values()]
+        means = np.array([one.mean() for one in scores])
+        half = [scipy.stats.sem(one) * scipy.stats.t.ppf(0.975, len(one) - 1) for one in scores]
+        colour = (*style.MORE_COLOURS[:3], *style.GROUPS[:2])[i]
+        shown: dict[str, Any] = {"fmt": "o", "ms": 5, "lw": 1.5, "color": colour, "label": name}
+        axes.errorbar(means, places + 0.13 * (i - 2), xerr=half, **shown)
+    axes.set_yticks(places, [str(setup) for setup in by_setup])
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    axes.set(xlabel="mean success over the run", xlim=(0, None))
+    picture.suptitle("Success by layout, in each set-up", **style.HEAD)
+    picture.legend(loc="outside lower center", ncols=len(LAYOUTS) + 1)
+    picture.savefig(folder / "setups.png", dpi=style.DPI, metadata={"Software": None})
 
 
 TABLES = {
