@@ -18,8 +18,6 @@ import scipy.stats
 from matplotlib.figure import Figure
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
-from tactilerl.study import pairs as study_pairs
-from tactilerl.study.pairs import BySeed
 from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
@@ -28,7 +26,8 @@ from benchmarks.studies.learner_tables import DEAD, part
 from benchmarks.studies.study_tables import estimate, in_common, load, number, title
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
-CHOSEN, NONE = LAYOUTS[-1], "no touch"
+PAPERS, CHOSEN, NONE = LAYOUTS[:-1], LAYOUTS[-1], "no touch"
+RUN, END = 0.0, 0.8  # fractions of the steps from which on success counts
 LEARNERS = ("ppo", "ddpg_her")
 ORDER = (*LEARNERS, "mpl", "shadow", "allegro", "mujoco", "pybullet")
 N_PERMUTATIONS = 50_000
@@ -49,8 +48,6 @@ class SetUp(NamedTuple):
 
 Groups = dict[SetUp, Array]
 """A score of each set-up, (layouts and no touch, seeds)."""
-Score = Callable[[dict[str, list[Record]]], dict[str, BySeed]]
-"""Return a score by layout and seed, of a set-up's runs by layout."""
 
 
 def place(record: Record) -> tuple[SetUp, str]:
@@ -72,142 +69,152 @@ def by_layout() -> dict[SetUp, dict[str, list[Record]]]:
     return {setup: dict(runs) for setup, runs in in_order}
 
 
-def over_run(groups: dict[str, list[Record]]) -> dict[str, BySeed]:
-    """Return mean success over the steps that all runs of a set-up have."""
-    return dict(zip(groups, study_pairs.scored("area", *groups.values()), strict=True))
+def in_whole_seeds(begin: float = RUN) -> Groups:
+    """Return mean success from a fraction of the steps on, of seeds with a run of each layout and none.
 
-
-def at_end(groups: dict[str, list[Record]]) -> dict[str, BySeed]:
-    """Return mean success over the last fifth of each run of a set-up."""
-    return {
-        layout: {record.run.seed: part(record, 0.8) for record in runs}
-        for layout, runs in groups.items()
-    }
-
-
-def in_whole_seeds(score: Score = over_run) -> Groups:
-    """Return set-ups with two seeds or more that have a run of each layout and one without touch."""
+    A set-up needs two such seeds.
+    """
     scores: Groups = {}
     for setup, groups in by_layout().items():
-        by_seed = score(groups)
-        seeds, values = in_common([by_seed.get(name, {}) for name in (*LAYOUTS, NONE)])
+        by_seed = [
+            {record.run.seed: part(record, begin) for record in groups.get(name, [])}
+            for name in (*LAYOUTS, NONE)
+        ]
+        seeds, values = in_common(by_seed)
         if len(seeds) >= 2:
             scores[setup] = values
     return scores
 
 
-def in_mujoco(score: Score = over_run) -> Groups:
+def in_mujoco(begin: float = RUN) -> Groups:
     """Return touch minus no touch within seeds, (layouts, seeds), in the set-ups of MuJoCo."""
     return {
         setup: groups[:-1] - groups[-1]
-        for setup, groups in in_whole_seeds(score).items()
+        for setup, groups in in_whole_seeds(begin).items()
         if setup.simulator == "mujoco"
     }
 
 
 def show_worth() -> None:
     """Print what touch adds in each set-up: the mean over the layouts within each seed."""
-    by_setup, ends = in_whole_seeds(), in_whole_seeds(at_end)
+    over_run, at_end = in_whole_seeds(), in_whole_seeds(END)
     # Five pairs cannot fall below 0.06 when signs are flipped, so these are t tests.
-    each = ((groups[:-1] - groups[-1]).mean(axis=0) for groups in by_setup.values())
-    tests = [scipy.stats.ttest_1samp(gain, 0) for gain in each]
+    gains = {setup: with_touch(groups) - groups[-1] for setup, groups in over_run.items()}
+    corrected = statistics.holm([scipy.stats.ttest_1samp(g, 0).pvalue for g in gains.values()])
     rows = []
-    corrected = statistics.holm([test.pvalue for test in tests])
-    for (setup, groups), test, p in zip(by_setup.items(), tests, corrected, strict=True):
-        touch, none = groups[:-1].mean(), groups[-1].mean()
-        gain = estimate(Estimate(touch - none, *test.confidence_interval()), "+.2f")
-        end = ends[setup]
-        levels = (f"{level:.2f}" for level in (none, touch))
-        last = f"{end[:-1].mean():.2f}, {end[-1].mean():.2f}"
-        rows.append((setup, groups.shape[1], *levels, gain, p_value(p), last))
-    head = "| set-up | seeds | no touch | touch | touch − no touch | p, Holm |"
-    markdown(f"{head} last fifth: touch, no touch |", rows)
+    for (setup, gain), p in zip(gains.items(), corrected, strict=True):
+        groups, end = over_run[setup], at_end[setup]
+        levels = f"{groups[-1].mean():.2f}", f"{with_touch(groups).mean():.2f}"
+        last = t_interval(with_touch(end) - end[-1])
+        rows.append((setup, len(gain), *levels, t_interval(gain), p_value(p), last))
+    head = "| set-up | seeds | no touch | touch | touch − no touch | p, Holm | the same, last fifth |"
+    markdown(head, rows)
+
+
+def with_touch(groups: Array) -> Array:
+    """Return the mean over the layouts, (seeds,), of scores (layouts and no touch, seeds)."""
+    mean: Array = groups[:-1].mean(axis=0)
+    return mean
+
+
+def t_interval(differences: Array) -> str:
+    """Return the mean of differences (seeds,) with its 95 % interval, as text."""
+    limits = scipy.stats.ttest_1samp(differences, 0).confidence_interval()
+    return estimate(Estimate(differences.mean(), *limits), "+.2f")
 
 
 def show_layouts() -> None:
-    """Print what each layout reaches, and whether the chosen taxels are within MARGIN of all others."""
-    rows = []
-    for setup, groups in in_whole_seeds().items():
-        *others, chosen = layouts = groups[:-1]
-        at_least, is_within = compared(chosen, others)
-        levels = [f"{level:.2f}" for level in layouts.mean(axis=1)]
-        best = min(chosen.mean() - other.mean() for other in others)
-        ahead = (number(value, "+.2f") for value in (best, at_least))
-        rows.append((setup, *levels, *ahead, is_within))
-    last = f"{CHOSEN} − the best of the paper's | lowest bound | within {MARGIN}"
-    markdown(f"| set-up | {' | '.join(LAYOUTS)} | {last} |", rows)
-
-
-def show_dead() -> None:
-    """Print how many runs end below DEAD, with touch and without."""
-    rows = []
-    for setup, groups in by_layout().items():
-        dead = {k: [part(one, 0.5) < DEAD for one in runs] for k, runs in groups.items()}
-        cells = (f"{sum(dead.get(k, []))} of {len(dead.get(k, []))}" for k in (*LAYOUTS, NONE))
-        rows.append((setup, *cells))
+    """Print what each layout reaches over the run, and over its last fifth."""
+    over_run, at_end = in_whole_seeds(), in_whole_seeds(END)
+    levels = {
+        str(setup): (groups.mean(axis=1), at_end[setup].mean(axis=1))
+        for setup, groups in over_run.items()
+    }
+    levels["mean"] = tuple(np.mean([*levels.values()], axis=0))
+    rows = [
+        (name, *(f"{a:.2f} / {b:.2f}" for a, b in zip(*of, strict=True))) for name, of in levels.items()
+    ]
     markdown(f"| set-up | {' | '.join((*LAYOUTS, NONE))} |", rows)
 
 
-def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
-    """Return how far runs (seeds,) are ahead of all others at least, and whether by −MARGIN or more.
+def show_dead() -> None:
+    """Print how many of all runs end below DEAD, with touch and without."""
+    rows, totals = [], np.zeros((len(LAYOUTS) + 1, 2), int)
+    for setup, groups in by_layout().items():
+        runs = [groups.get(name, []) for name in (*LAYOUTS, NONE)]
+        counts = [(sum(part(r, 0.5) < DEAD for r in group), len(group)) for group in runs]
+        totals += counts
+        rows.append((setup, *(f"{dead} of {n}" for dead, n in counts)))
+    rows.append(("all set-ups", *(f"{dead} of {n}" for dead, n in totals)))
+    markdown(f"| set-up | {' | '.join((*LAYOUTS, NONE))} |", rows)
 
-    One-sided 95 % bounds of t tests against each of the others: "yes" takes all of them, "no" one that
-    is corrected for their number.
+
+def show_chosen() -> None:
+    """Print whether the chosen taxels are within MARGIN of each of the paper's layouts."""
+    ahead = {
+        setup: groups[len(PAPERS)] - groups[: len(PAPERS)] for setup, groups in in_whole_seeds().items()
+    }
+    parts = {str(setup): [one] for setup, one in ahead.items()}
+    for learner in LEARNERS:
+        of_learner = [one for setup, one in ahead.items() if setup.learner == learner]
+        parts[f"{style.NAMES[learner]}, mean"] = of_learner
+    parts["all set-ups, mean"] = [*ahead.values()]
+    rows = []
+    for name, differences in parts.items():
+        cells = (estimate(one, "+.2f") for one in over_setups(differences))
+        at_least, is_within = compared(differences)
+        rows.append((name, *cells, number(at_least, "+.2f"), is_within))
+    others = " | ".join(f"{CHOSEN} − {name}" for name in PAPERS)
+    markdown(f"| set-up | {others} | lowest bound | within {MARGIN} |", rows)
+
+
+def compared(differences: Sequence[Array]) -> tuple[float, str]:
+    """Return how far the chosen taxels are ahead at least, and whether by −MARGIN or more.
+
+    `differences` to the paper's layouts (layouts, seeds) are of one or several set-ups. One-sided
+    95 % bounds: "yes" takes all of them, "no" one that is corrected for their number.
     """
-    tests = [scipy.stats.ttest_1samp(chosen - other, 0) for other in others]
-    at_least = min(test.confidence_interval(0.90).low for test in tests)
-    if min(test.confidence_interval(1 - 0.1 / len(others)).high for test in tests) < -MARGIN:
+    at_least = min(one.low for one in over_setups(differences, 0.90))
+    at_most = min(one.high for one in over_setups(differences, 1 - 0.1 / len(PAPERS)))
+    if at_most < -MARGIN:
         return at_least, "no"
     return at_least, "yes" if at_least > -MARGIN else "cannot tell"
 
 
-def show_chosen() -> None:
-    """Print each layout's mean over the set-ups, and the chosen taxels minus it."""
-    by_setup = in_whole_seeds()
-    chosen = LAYOUTS.index(CHOSEN)
-    rows = []
-    for i, name in enumerate((*LAYOUTS, NONE)):
-        cells = [f"{np.mean([groups[i].mean() for groups in by_setup.values()]):.2f}"]
-        if name != CHOSEN:
-            ahead = {setup: groups[chosen] - groups[i] for setup, groups in by_setup.items()}
-            pooled = [*ahead.values()]
-            cells.append(estimate(over_setups(pooled), "+.2f"))
-            cells.append(number(over_setups(pooled, 0.90).low, "+.2f"))
-            for learner in LEARNERS:
-                of_learner = [one for setup, one in ahead.items() if setup.learner == learner]
-                cells.append(estimate(over_setups(of_learner), "+.2f"))
-        rows.append((name, *cells, *[""] * (5 - len(cells))))
-    learners = " | ".join(style.NAMES[learner] for learner in LEARNERS)
-    markdown(f"| | mean over the set-ups | {CHOSEN} − this | lowest bound | {learners} |", rows)
+def over_setups(differences: Sequence[Array], confidence: float = 0.95) -> list[Estimate]:
+    """Return, by layout, the mean over these set-ups of differences (layouts, seeds).
 
-
-def over_setups(differences: Sequence[Array], confidence: float = 0.95) -> Estimate:
-    """Return the mean over these set-ups of differences (seeds,), with a t interval (Satterthwaite)."""
-    value = float(np.mean([one.mean() for one in differences]))
-    parts = np.array([one.var(ddof=1) / len(one) for one in differences])
-    df = parts.sum() ** 2 / (parts**2 / [len(one) - 1 for one in differences]).sum()
-    scale = np.sqrt(parts.sum()) / len(differences)
-    return Estimate(value, *scipy.stats.t.interval(confidence, df, value, scale))
+    Intervals are those of t tests; over several set-ups, whose noise differs, after Satterthwaite.
+    They hold for these set-ups, not for new ones.
+    """
+    means = np.mean([one.mean(axis=1) for one in differences], axis=0)
+    parts = np.array([one.var(axis=1, ddof=1) / one.shape[1] for one in differences])
+    spare = np.array([[one.shape[1] - 1] for one in differences])
+    df = parts.sum(axis=0) ** 2 / (parts**2 / spare).sum(axis=0)
+    scale = np.sqrt(parts.sum(axis=0)) / len(differences)
+    limits = scipy.stats.t.interval(confidence, df, means, scale)
+    return [Estimate(*map(float, one)) for one in zip(means, *limits, strict=True)]
 
 
 def show_order() -> None:
     """Print whether MuJoCo's set-ups put the layouts into the same order, and differ alike."""
     rows = []
-    for name, score in (("mean over the run", over_run), ("last fifth", at_end)):
-        gains = in_mujoco(score)
+    for name, begin in (("mean over the run", RUN), ("last fifth", END)):
+        gains = in_mujoco(begin)
         values = np.array([one.mean(axis=1) for one in gains.values()])
         w, p = concordance(values, [str(i) for i in range(len(values))])
         _, p_by_hand = concordance(values, [setup.hand for setup in gains])
         p_values = (p_value(one) for one in (p, p_by_hand, interaction([*gains.values()])))
-        rows.append((name, f"{w:.2f}", *p_values))
-    markdown("| gain by | Kendall's W | p, by set-up | p, by hand | p of set-up × layout |", rows)
+        rows.append((name, len(gains), f"{w:.2f}", *p_values))
+    head = "| gain by | set-ups | Kendall's W | p, by set-up | p, by hand | p of set-up × layout |"
+    markdown(head, rows)
 
 
 def interaction(gains: Sequence[Array]) -> float:
     """Return the p-value of: layouts differ by the same amounts in all set-ups (layouts, seeds).
 
-    The F test of set-up x layout, whose null is drawn with each set-up's own noise, because noise
-    differs between set-ups. Layouts of one seed share what that seed does.
+    The F test of set-up x layout, whose null is drawn with each set-up's own noise, normal and the
+    same for its layouts. Layouts of one seed share what that seed does.
     """
 
     def ratio(blocks: Sequence[Array]) -> Array:
@@ -257,29 +264,24 @@ def concordance(values: Array, blocks: Sequence[str]) -> tuple[float, float]:
     return float(friedman / (n_setups * (n_layouts - 1))), (1 + as_large) / (1 + N_PERMUTATIONS)
 
 
-def prediction(
-    predictor: Array, values: Array, blocks: Sequence[str], is_within: bool
-) -> tuple[float, float]:
-    """Return the rank correlation of a predictor with values, both (setups, layouts), and its p.
+def prediction(predictor: Array, values: Array, blocks: Sequence[str]) -> tuple[float, float, float]:
+    """Return the rank correlation of a predictor with values, averaged over set-ups, and two p-values.
 
-    Within set-ups, it is the mean of theirs; otherwise all values are ranked together. The exact
-    two-sided test reorders the predictor in all ways, which the set-ups of a block share.
+    Both have shape (setups, layouts). The exact two-sided tests reorder the layouts of each block,
+    such as a hand, in all ways; or those of all blocks in the same way.
     """
-
-    def standardized(x: Array) -> Array:
-        ranks = scipy.stats.rankdata(x, axis=-1 if is_within else None)
-        axis = -1 if is_within else None
-        return scipy.stats.zscore(ranks, axis=axis).reshape(values.shape)
-
-    expected, reached = standardized(predictor), standardized(values)
+    ranks = (scipy.stats.rankdata(x, axis=-1) for x in (predictor, values))
+    expected, reached = (scipy.stats.zscore(one, axis=-1) for one in ranks)
     orders = np.array([*itertools.permutations(range(values.shape[1]))])
-    names, sums = np.array(blocks), np.zeros(1)
+    names, sums, shared = np.array(blocks), np.zeros(1), np.zeros(len(orders))
     for name in dict.fromkeys(blocks):
         (members,) = np.nonzero(names == name)
         by_order = expected[members[0]][orders] @ reached[members].sum(axis=0)
         sums = np.add.outer(sums, by_order).ravel()
-    sums = np.round(sums / values.size, 9)
-    return float(sums[0]), float((np.abs(sums) >= abs(sums[0])).mean())
+        shared += by_order
+    correlation, by_hand, in_common = (np.round(x / values.size, 9) for x in (sums[0], sums, shared))
+    as_large = (np.abs(x) >= abs(correlation) for x in (by_hand, in_common))
+    return float(correlation), *(float(one.mean()) for one in as_large)
 
 
 PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
@@ -297,13 +299,15 @@ def show_predictors() -> None:
     of_hands, rows = data("design")["hands"], []
     for name, read in PREDICTORS.items():
         predictor = np.array([[read(of_hands[hand][layout]) for layout in LAYOUTS] for hand in hands])
-        cells = []
-        for is_within in (True, False):
-            correlation, p = prediction(predictor, values, hands, is_within)
-            cells += [number(correlation, ".2f"), p_value(p)]
-        rows.append((name, *cells))
-    head = "| predictor of the gain | rank correlation within a hand | p | over hands | p |"
-    markdown(head, rows)
+        correlation, *p_values = prediction(predictor, values, hands)
+        over_hands = []
+        for learner in LEARNERS:
+            is_of = [setup.learner == learner for setup in gains]
+            result = scipy.stats.spearmanr(predictor[is_of].ravel(), values[is_of].ravel())
+            over_hands.append(number(result.statistic, ".2f"))
+        rows.append((name, number(correlation, ".2f"), *map(p_value, p_values), *over_hands))
+    head = "| predictor of the gain | within a hand | p | p, the same order on all hands |"
+    markdown(f"{head} over hands, PPO | over hands, DDPG+HER |", rows)
 
 
 def draw(folder: Path) -> None:
