@@ -91,6 +91,7 @@ def data(name: str) -> Any:
 def write(path: Path | None, result: Any) -> None:
     """Write JSON where it was asked for."""
     if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
