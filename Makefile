@@ -82,7 +82,6 @@ FLAGS_hard_cases := --steps 100
 bench: $(BENCHMARKS:%=bench-%)
 
 bench-%: $(DEVELOPMENT)
-	mkdir -p $(OUT)
 	$(BIN)/python -m benchmarks $* $(FLAGS_$*) --out $(OUT)/$*.json
 
 # README's film; needs ffmpeg.

@@ -119,8 +119,7 @@ def with_touch(groups: Array) -> Array:
 
 def t_interval(differences: Array) -> str:
     """Return the mean of differences (seeds,) with its 95 % interval, as text."""
-    limits = scipy.stats.ttest_1samp(differences, 0).confidence_interval()
-    return estimate(Estimate(differences.mean(), *limits), "+.2f")
+    return estimate(*over_setups([differences[None]]), "+.2f")
 
 
 def show_layouts() -> None:
@@ -316,12 +315,12 @@ def draw(folder: Path) -> None:
     picture = Figure(figsize=(7, 0.5 + 0.55 * len(by_setup)), layout="constrained")
     axes = picture.subplots()
     places = np.arange(len(by_setup))
-    for i, name in enumerate((*LAYOUTS, NONE)):
-        scores = [groups[i] for groups in by_setup.values()]
-        means = np.array([one.mean() for one in scores])
-        half = [scipy.stats.sem(one) * scipy.stats.t.ppf(0.975, len(one) - 1) for one in scores]
+    rows = zip(*(over_setups([groups]) for groups in by_setup.values()), strict=True)
+    for i, (name, levels) in enumerate(zip((*LAYOUTS, NONE), rows, strict=True)):
+        means, low, high = np.transpose([(one.value, one.low, one.high) for one in levels])
         colour = (*style.MORE_COLOURS[:3], *style.GROUPS[:2])[i]
         shown: dict[str, Any] = {"fmt": "o", "ms": 5, "lw": 1.5, "color": colour, "label": name}
+        half = means - low, high - means
         axes.errorbar(means, places + 0.13 * (i - 2), xerr=half, **shown)
     axes.set_yticks(places, [str(setup) for setup in by_setup])
     axes.invert_yaxis()
