@@ -13,7 +13,7 @@ JOBS ?= 3
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: train policies test test-slow lint bench film figures docs clean
+.PHONY: train policies test test-slow package lint bench film figures docs clean
 .NOTPARALLEL:
 
 # What training needs: no PyBullet, no MPI, nothing for tests.
@@ -54,10 +54,16 @@ test: $(DEVELOPMENT)
 test-slow: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder -m slow
 
-lint: $(DEVELOPMENT)
+# The package as users get it, in one folder: for tools that read code and do not import it.
+package: $(DEVELOPMENT)
+	rm -rf build/package
+	$(INSTALL) --no-deps --no-build-isolation --target build/package .
+
+lint: package
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	MYPYPATH=build/package $(BIN)/mypy examples
 
 # The trained policies that ship with the repository, from nothing; about ten core-minutes.
 # The lift's early hold verdict is for speed.
@@ -102,7 +108,7 @@ $(DOCS): $(TRAINING)
 	touch $@
 
 docs: export NO_MKDOCS_2_WARNING := 1
-docs: $(DOCS)
+docs: package $(DOCS)
 	$(BIN)/mkdocs build --strict
 	@echo "The site is in build/site: open build/site/index.html"
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+if __name__ == "algos":  # found by its folder: all of it would be there twice
+    raise ImportError("algos is part of tactilerl: import tactilerl.algos")
+
 import importlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass

@@ -9,6 +9,9 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
+if __name__ == "envs":  # found by its folder: all of it would be there twice
+    raise ImportError("envs is part of tactilerl: import tactilerl.envs")
+
 import contextlib
 import io
 import traceback
