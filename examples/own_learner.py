@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
-
 from tactilerl.algos import ALGORITHMS, Count, LearnerSpec, Positive32, rollout
 from tactilerl.algos.learner import Learner, LearnerConfig, restore
 from tactilerl.algos.mpi import Communicator
@@ -28,6 +26,7 @@ from tactilerl.algos.policy import (
     new_actor,
 )
 from tactilerl.algos.rollout import PlayEpisode, summary
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ tactilerl evaluate --import own_task runs/cup
 from typing import ClassVar
 
 import numpy as np
-
 from tactilerl.envs.state import Array, State
 from tactilerl.envs.tasks import OUTCOMES, TASKS, Handover
 

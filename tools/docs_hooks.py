@@ -24,10 +24,11 @@ sys.path.insert(
     0, str(Path(__file__).resolve().parents[1])
 )  # for benchmarks, which is not installed
 
-import tactilerl
-from benchmarks import environments
 from tactilerl.algos.ddpg_her import DDPGHERConfig
 from tactilerl.algos.ppo import PPOConfig
+
+import tactilerl
+from benchmarks import environments
 from tactilerl.commands import cli
 from tactilerl.commands.study import PARTS as STUDY
 
