@@ -135,9 +135,8 @@ class Replay:
         for episode in episodes:
             is_full = self.n_episodes == self.n_slots
             slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-            self._put(slot, self._as_columns(episode))
+            self.put(slot, self._as_columns(episode))
             slots[slot] = None
-        self._unsaved |= slots
         return np.array([*slots], np.int64)
 
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
@@ -158,7 +157,8 @@ class Replay:
             "terminal": np.pad([[episode.terminated]], ((n_steps - 1, 1), (0, 0))),
         }
 
-    def _put(self, slot: int, columns: dict[str, Array]) -> None:
+    def put(self, slot: int, columns: dict[str, Array]) -> None:
+        """Write the rows of an episode, by column, into a slot."""
         if (
             not self._columns
         ):  # zeros are given out page by page, when they are written to
@@ -172,6 +172,15 @@ class Replay:
             self._columns[name][first : first + n_rows] = values
         self._lengths[slot] = n_rows - 1
         self.n_episodes = max(self.n_episodes, slot + 1)
+        self._unsaved[slot] = None
+
+    def episode(self, slot: int) -> dict[str, Array]:
+        """Return the rows of the episode in a slot, by column, as `put` takes them."""
+        rows = slice(slot * self._rows, slot * self._rows + int(self._lengths[slot]) + 1)
+        columns = {name: values[rows] for name, values in self._columns.items()}
+        boolean = columns.pop("boolean")
+        columns["obs"] = np.concatenate([columns["obs"], boolean], axis=1)
+        return columns
 
     def _split(self, obs: Array) -> dict[str, Array]:
         """Return observations (n, size) as they are stored: floats, and bytes at their end.
@@ -272,7 +281,8 @@ class Replay:
             columns["obs"] = np.concatenate(
                 [columns["obs"], columns.pop("boolean")], axis=1
             )
-            self._put(int(slot), columns)
+            self.put(int(slot), columns)
+            del self._unsaved[int(slot)]  # it is saved
 
 
 def _short(rewards: Array) -> str:
