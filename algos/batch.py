@@ -59,7 +59,9 @@ class Draws:
 
         Counters (E, ...) or int tell draws apart.
         """
-        shape = torch.broadcast_shapes(*(c.shape for c in counters if not isinstance(c, int)))
+        shape = torch.broadcast_shapes(
+            *(c.shape for c in counters if not isinstance(c, int))
+        )
         x = self.seeds.view(-1, *[1] * (len(shape) - 1))
         for counter in (purpose, *counters):
             x = _mixed((x ^ counter) + GOLDEN)
@@ -89,20 +91,28 @@ class Networks:
     """
 
     def __init__(
-        self, networks: Sequence[MLP], columns: Sequence[Tensor], width: int, n_extra: int = 0
+        self,
+        networks: Sequence[MLP],
+        columns: Sequence[Tensor],
+        width: int,
+        n_extra: int = 0,
     ) -> None:
         """Stack networks; `columns` are the places of each one's inputs among all `width`."""
         first = networks[0]
         self.columns, self.is_tanh = columns, isinstance(first[-1], torch.nn.Tanh)
         sizes = [width, *(linear.out_features for linear in first.linears)]
         pairs = zip(sizes[1:], sizes, strict=False)
-        self.shapes = [shape for out, inputs in pairs for shape in ((out, inputs), (out,))]
+        self.shapes = [
+            shape for out, inputs in pairs for shape in ((out, inputs), (out,))
+        ]
         self.sizes = [*map(math.prod, self.shapes), n_extra]
         flat = torch.zeros(len(networks), sum(self.sizes), device=columns[0].device)
         self.flat, self.m, self.v = flat, flat.clone(), flat.clone()
         self.n_steps = flat.new_zeros(len(networks), 1)
         for i, network in enumerate(networks):
-            for part, values in zip(self.parts(i, flat), network.parameters(), strict=False):
+            for part, values in zip(
+                self.parts(i, flat), network.parameters(), strict=False
+            ):
                 part.copy_(values.detach())
         flat.requires_grad_()
 
@@ -171,7 +181,9 @@ class Stats:
         n = len(normalizers)
         numbers = [[s.count, s._block_squares, s.clip] for s in normalizers]
         numbers = torch.tensor(numbers, dtype=torch.float64, device=device)
-        self.count, self.block_squares, self.clip = numbers.view(n, 1, 3).split(1, dim=2)
+        self.count, self.block_squares, self.clip = numbers.view(n, 1, 3).split(
+            1, dim=2
+        )
         self.mean, self.squares = torch.zeros(
             2, n, 1, width, dtype=torch.float64, device=device
         )
@@ -219,7 +231,10 @@ class Stats:
 
     def write(self, i: int, one: Normalizer) -> None:
         """Write the moments of run `i` into its own normalizer."""
-        one.count, one._block_squares = float(self.count[i]), float(self.block_squares[i])
+        one.count, one._block_squares = (
+            float(self.count[i]),
+            float(self.block_squares[i]),
+        )
         for mine, its in self._arrays(one)[:2]:
             its[:] = mine[i, 0, self.columns[i]].cpu().numpy()
 
@@ -296,7 +311,9 @@ class Worlds:
             )
             for wave in waves
         ]
-        played = Played(*(torch.cat(parts, dim=1) for parts in zip(*padded, strict=True)))
+        played = Played(
+            *(torch.cat(parts, dim=1) for parts in zip(*padded, strict=True))
+        )
         return played._replace(taken=played.taken & taken[:, :-1])
 
     def _wave(self, act: Act, seed: Any, wanted: Tensor, wave: int) -> Played:
@@ -319,9 +336,15 @@ class Worlds:
         lengths, terminated, success = diverged * 0, live & False, live & False
         while bool(live.any()) or not actions:
             chosen = act(views[-1], numbers, lengths, moving)
-            kept = torch.where(moving[..., None], chosen, actions[-1]) if actions else chosen
+            kept = (
+                torch.where(moving[..., None], chosen, actions[-1])
+                if actions
+                else chosen
+            )
             actions.append(kept)
-            obs, reward, is_end, is_cut, info = self.env.step(kept.clamp(-1.0, 1.0).flatten(0, 1))
+            obs, reward, is_end, is_cut, info = self.env.step(
+                kept.clamp(-1.0, 1.0).flatten(0, 1)
+            )
             moving = ~self._flags(info, "holding")
             void = live & self._flags(info, "diverged")
             counts.append(live & moving & ~void)
@@ -355,8 +378,12 @@ def _packed(
     """
     n = max(1, int(lengths.max()))
     calls = (~counts).int().argsort(dim=0, stable=True)[:n]
-    last = torch.arange(1, len(counts) + 1, device=counts.device)[:, None, None] * counts
-    with_last = torch.cat([calls, calls[:1]]).scatter(0, lengths[None], last.amax(dim=0)[None])
+    last = (
+        torch.arange(1, len(counts) + 1, device=counts.device)[:, None, None] * counts
+    )
+    with_last = torch.cat([calls, calls[:1]]).scatter(
+        0, lengths[None], last.amax(dim=0)[None]
+    )
     e, w = (torch.arange(size, device=counts.device) for size in lengths.shape)
     within = torch.arange(n, device=counts.device) < lengths[..., None]
     calls, with_last = calls.permute(1, 2, 0), with_last.permute(1, 2, 0)
@@ -367,7 +394,9 @@ def _packed(
 def _padded(steps: Tensor, n: int) -> Tensor:
     """Return values (E, K, n, ...), zero beyond what there is."""
     missing = n - steps.shape[2]
-    return torch.cat([steps, steps.new_zeros(*steps.shape[:2], missing, *steps.shape[3:])], 2)
+    return torch.cat(
+        [steps, steps.new_zeros(*steps.shape[:2], missing, *steps.shape[3:])], 2
+    )
 
 
 def _discounted(values: Tensor, factor: Tensor) -> Tensor:
@@ -424,12 +453,16 @@ class BatchLearner:
 
     def counters(self, name: str) -> Tensor:
         """Return a number that each single learner counts or keeps, (E,)."""
-        return torch.tensor([getattr(one, name) for one in self.learners], device=self.device)
+        return torch.tensor(
+            [getattr(one, name) for one in self.learners], device=self.device
+        )
 
     def columns(self, *more: int) -> list[Tensor]:
         """Return the places of each run's inputs: of its own observation, and all of `more`."""
         rest = torch.arange(self.width, self.width + sum(more), device=self.device)
-        sizes = [one.spaces.observation["observation"].shape[0] for one in self.learners]
+        sizes = [
+            one.spaces.observation["observation"].shape[0] for one in self.learners
+        ]
         return [torch.cat([torch.arange(n, device=self.device), rest]) for n in sizes]
 
     @property
@@ -455,7 +488,9 @@ class BatchLearner:
 
     def _remaining(self, is_annealed: bool) -> Tensor:
         """Return what is left of each run, (E, 1); 1 where nothing is annealed."""
-        left = [[one.progress_remaining if is_annealed else 1.0] for one in self.learners]
+        left = [
+            [one.progress_remaining if is_annealed else 1.0] for one in self.learners
+        ]
         return torch.tensor(left, device=self.device)
 
     def _rows(self, **columns: Tensor) -> list[dict[str, float]]:
@@ -466,7 +501,7 @@ class BatchLearner:
     def _summary(self, played: Played) -> list[dict[str, float]]:
         """Return counts and means over the episodes taken, as `rollout.summary` does."""
         taken = played.taken
-        n = taken.sum(dim=1).clamp(min=1)
+        n = taken.sum(dim=1).clamp(min=1).double()
         steps = (played.lengths * taken).sum(dim=1)
         return self._rows(
             steps=steps,
@@ -499,8 +534,8 @@ class BatchLearner:
                 reason = f"a loss or a parameter is not finite after {steps} steps"
                 self.failures.setdefault(i, reason)
 
-    def test(self) -> list[dict[str, float]]:
-        """Return how good each run is without exploration, for runs of this epoch; may be empty."""
+    def test(self, asked: Sequence[bool]) -> list[dict[str, float]]:
+        """Return how good the runs that are asked for (E,) are without exploration; may be empty."""
         return []
 
     def write(self, i: int) -> Learner:
@@ -508,14 +543,20 @@ class BatchLearner:
         raise NotImplementedError
 
 
-def _write_network(i: int, networks: Networks, network: MLP, flat: Tensor | None = None) -> None:
+def _write_network(
+    i: int, networks: Networks, network: MLP, flat: Tensor | None = None
+) -> None:
     parts = networks.parts(i, networks.flat if flat is None else flat)
     for values, part in zip(network.parameters(), parts, strict=False):
         values.data.copy_(part.cpu())
 
 
 def _write_adam(
-    i: int, networks: Networks, adam: torch.optim.Adam, first: int, moments: Sequence[Tensor]
+    i: int,
+    networks: Networks,
+    adam: torch.optim.Adam,
+    first: int,
+    moments: Sequence[Tensor],
 ) -> None:
     """Write moments and the number of steps into the Adam of parameters from number `first` on."""
     m, v, n_steps = moments
@@ -523,12 +564,20 @@ def _write_adam(
     parts = zip(networks.parts(i, m)[first:], networks.parts(i, v)[first:], strict=True)
     for parameter, (mean, square) in zip(parameters, parts, strict=False):
         if step and parameter.requires_grad:
-            state = {"step": step.clone(), "exp_avg": mean.cpu(), "exp_avg_sq": square.cpu()}
+            state = {
+                "step": step.clone(),
+                "exp_avg": mean.cpu(),
+                "exp_avg_sq": square.cpu(),
+            }
             adam.state[parameter] = state
 
 
-def _read_adam(i: int, networks: Networks, adam: torch.optim.Adam, first: int = 0) -> None:
-    parts = zip(networks.parts(i, networks.m), networks.parts(i, networks.v), strict=True)
+def _read_adam(
+    i: int, networks: Networks, adam: torch.optim.Adam, first: int = 0
+) -> None:
+    parts = zip(
+        networks.parts(i, networks.m), networks.parts(i, networks.v), strict=True
+    )
     for parameter, (mean, square) in zip(
         adam.param_groups[0]["params"], [*parts][first:], strict=False
     ):
@@ -545,7 +594,9 @@ class BatchPPO(BatchLearner):
         """Stack networks, moments and what the rewards were."""
         learners, config = self.learners, self.config
         columns, width = self.columns(self.n_goal), self.width + self.n_goal
-        actors, critics = ([getattr(one, name) for one in learners] for name in ("actor", "critic"))
+        actors, critics = (
+            [getattr(one, name) for one in learners] for name in ("actor", "critic")
+        )
         self.actor = Networks(actors, columns, width, self.n_actions)
         self.critic = Networks(critics, columns, width)
         self.stats = Stats([one.obs_stats for one in learners], columns, width)
@@ -561,7 +612,9 @@ class BatchPPO(BatchLearner):
         std_lr = self.numbers("std_lr") if config.std_lr else rates[0]
         learned = float(config.exploration == "learned")
         n = self.actor.flat.shape[1] - self.n_actions
-        self.actor_lr = torch.cat([rates[0].expand(-1, n), std_lr.expand(-1, self.n_actions)], 1)
+        self.actor_lr = torch.cat(
+            [rates[0].expand(-1, n), std_lr.expand(-1, self.n_actions)], 1
+        )
         self.is_learned = torch.ones_like(self.actor_lr)
         self.is_learned[:, n:] = learned
         self.critic_lr = rates[1]
@@ -572,7 +625,12 @@ class BatchPPO(BatchLearner):
         self.played: Played
 
     def _actor_state(self) -> list[Tensor]:
-        return [self.actor.flat.detach(), self.actor.m, self.actor.v, self.actor.n_steps]
+        return [
+            self.actor.flat.detach(),
+            self.actor.m,
+            self.actor.v,
+            self.actor.n_steps,
+        ]
 
     def std(self) -> Tensor:
         """Return the standard deviation of each run's actions, (E, 1, d)."""
@@ -598,7 +656,9 @@ class BatchPPO(BatchLearner):
         epochs, std = self.counters("epochs")[:, None], self.std()
 
         def act(obs: Tensor, numbers: Tensor, steps: Tensor, moving: Tensor) -> Tensor:
-            uniform = self.draws(rollout.TRAIN, epochs, numbers, steps, width=self.n_actions)
+            uniform = self.draws(
+                rollout.TRAIN, epochs, numbers, steps, width=self.n_actions
+            )
             mean = self.actor(self.stats.scale(self._inputs(obs)))
             return mean + std * _normal(uniform)
 
@@ -621,7 +681,9 @@ class BatchPPO(BatchLearner):
         rows, batch, lengths = self._batch()
         n = lengths.tolist()
         silent, undone = self._look_at_returns()
-        counts = torch.tensor([config.minibatches(max(1, k)) for k in n], device=self.device)
+        counts = torch.tensor(
+            [config.minibatches(max(1, k)) for k in n], device=self.device
+        )
         going, sums = self.on.clone(), torch.zeros(n_runs, 4, device=self.device)
         n_updates = torch.zeros_like(counts)
         epochs = self.counters("epochs")
@@ -676,7 +738,9 @@ class BatchPPO(BatchLearner):
         )
         actor_lr = self.left * self.actor_lr
         self.actor.step(self._clipped(gradients[0] * self.is_learned), actor_lr, acts)
-        self.critic.step(self._clipped(gradients[1]), self.left * self.critic_lr, mask.any(dim=1))
+        self.critic.step(
+            self._clipped(gradients[1]), self.left * self.critic_lr, mask.any(dim=1)
+        )
         parts = losses, (result.kl * share).sum(1), (result.is_clipped * share).sum(1)
         of_actor = torch.stack([part.detach() for part in parts], dim=1) * acts[:, None]
         return torch.cat([of_actor, errors.detach()[:, None]], dim=1)
@@ -696,8 +760,12 @@ class BatchPPO(BatchLearner):
             return (*torch.zeros(2, n_runs, dtype=torch.bool, device=device),)
         whole = self.played.usable & (self.played.diverged == 0)
         sums, whole = self.played.rewards.double().sum(dim=2).tolist(), whole.tolist()
-        for i, (one, is_on) in enumerate(zip(self.learners, self.on.tolist(), strict=True)):
-            returns = [x for x, is_whole in zip(sums[i], whole[i], strict=True) if is_whole]
+        for i, (one, is_on) in enumerate(
+            zip(self.learners, self.on.tolist(), strict=True)
+        ):
+            returns = [
+                x for x, is_whole in zip(sums[i], whole[i], strict=True) if is_whole
+            ]
             if returns and is_on:
                 verdicts[i] = self._silence(i, one, returns)
         silent, undone, kept = torch.tensor(verdicts, device=device).unbind(dim=1)
@@ -706,7 +774,9 @@ class BatchPPO(BatchLearner):
             now.copy_(torch.where(undone[:, None], before, now))
         return silent, undone
 
-    def _silence(self, i: int, one: PPO, returns: list[float]) -> tuple[bool, bool, bool]:
+    def _silence(
+        self, i: int, one: PPO, returns: list[float]
+    ) -> tuple[bool, bool, bool]:
         """Return whether run `i` is silent, whether it is undone, and whether its actor is to be kept."""
         lowest = min(returns)
         if lowest < max(returns):
@@ -742,7 +812,10 @@ class BatchPPO(BatchLearner):
             goes_on = goes_on | ~played.terminated
         last = values.gather(2, lengths[..., None])[..., 0]
         last = last.clamp(lowest, highest) * goes_on
-        is_last = torch.arange(values.shape[2] - 1, device=self.device) == lengths[..., None] - 1
+        is_last = (
+            torch.arange(values.shape[2] - 1, device=self.device)
+            == lengths[..., None] - 1
+        )
         following = torch.where(is_last, last[..., None], values[..., 1:])
         gamma, lam = self.numbers("gamma").double(), self.numbers("gae_lambda").double()
         rewards = played.rewards.double() / scale[..., None]
@@ -815,7 +888,10 @@ class BatchPPO(BatchLearner):
         _write_adam(i, critic, one.critic_adam, 0, (critic.m, critic.v, critic.n_steps))
         self.stats.write(i, one.obs_stats)
         one.reward_scale = float(self.reward_scale[i])
-        one.lowest_reward, one.highest_reward = float(self.lowest[i]), float(self.highest[i])
+        one.lowest_reward, one.highest_reward = (
+            float(self.lowest[i]),
+            float(self.highest[i]),
+        )
         return one
 
 
@@ -858,13 +934,18 @@ class BatchDDPGHER(BatchLearner):
         columns = self.columns(self.n_goal)
         self.actor = Networks(actors, columns, width)
         self.target_actor = Networks(old_actors, columns, width)
-        columns, width = self.columns(self.n_goal, self.n_actions), width + self.n_actions
+        columns, width = (
+            self.columns(self.n_goal, self.n_actions),
+            width + self.n_actions,
+        )
         self.critic = Networks(critics, columns, width)
         self.target_critic = Networks(old_critics, columns, width)
         goals = [torch.arange(self.n_goal, device=device)] * n_runs
         own = self.columns()
         self.obs_stats = Stats([one.obs_stats for one in learners], own, self.width)
-        self.goal_stats = Stats([one.goal_stats for one in learners], goals, self.n_goal)
+        self.goal_stats = Stats(
+            [one.goal_stats for one in learners], goals, self.n_goal
+        )
         for i, one in enumerate(learners):
             _read_adam(i, self.actor, one.actor_adam)
             _read_adam(i, self.critic, one.critic_adam)
@@ -878,7 +959,9 @@ class BatchDDPGHER(BatchLearner):
         self.of_ones = torch.tensor(of_ones, device=device, dtype=torch.float64)
         self.is_relabelled = any(one.config.replay_p for one in learners)
         whole = self.width + 2 * self.n_goal
-        self.memory = torch.zeros(n_runs, 0, steps + 1, whole + self.n_actions + 2, device=device)
+        self.memory = torch.zeros(
+            n_runs, 0, steps + 1, whole + self.n_actions + 2, device=device
+        )
         self.lengths = torch.zeros(n_runs, 0, dtype=torch.long, device=device)
         self.n_stored = [0] * n_runs
         for i, one in enumerate(learners):
@@ -891,13 +974,17 @@ class BatchDDPGHER(BatchLearner):
     def _scaled(self, obs: Tensor, goals: Tensor) -> Tensor:
         limit = self.numbers("clip_obs")[..., None]
         obs, goals = (part.clamp(-limit, limit) for part in (obs, goals))
-        return torch.cat([self.obs_stats.scale(obs), self.goal_stats.scale(goals)], dim=-1)
+        return torch.cat(
+            [self.obs_stats.scale(obs), self.goal_stats.scale(goals)], dim=-1
+        )
 
     def _play(self, purpose: int, n: int) -> Played:
         """Play `n` episodes of each active run that have steps, or just `n` to test it."""
         cycles, explores = self.counters("cycles")[:, None], purpose == rollout.TRAIN
         left = self._remaining(self.config.anneal_noise)
-        noise_eps, random_eps = (left * self.numbers(name) for name in ("noise_eps", "random_eps"))
+        noise_eps, random_eps = (
+            left * self.numbers(name) for name in ("noise_eps", "random_eps")
+        )
         hold = self.numbers("random_hold")
         begin = random_eps / (random_eps + hold * (1.0 - random_eps))
         is_random, drawn = None, torch.zeros(0)
@@ -909,7 +996,10 @@ class BatchDDPGHER(BatchLearner):
                 return actions
             d = self.n_actions
             uniform = self.draws(purpose, cycles, numbers, steps, width=2 * d + 1)
-            noise, chance = noise_eps[..., None] * _normal(uniform[..., :d]), uniform[..., d]
+            noise, chance = (
+                noise_eps[..., None] * _normal(uniform[..., :d]),
+                uniform[..., d],
+            )
             noisy = (actions + noise).clamp(-1.0, 1.0)
             new = (2 * uniform[..., d + 1 :] - 1).float()
             if bool((steps == 0).all()):  # of a wave
@@ -929,7 +1019,9 @@ class BatchDDPGHER(BatchLearner):
             return has_steps.cumsum(dim=1) - has_steps.long() < n
 
         with torch.no_grad():
-            return self.worlds.play(act, self._seed(purpose, "cycles"), is_taken, self.on)
+            return self.worlds.play(
+                act, self._seed(purpose, "cycles"), is_taken, self.on
+            )
 
     @torch.no_grad()
     def collect(self) -> list[dict[str, float]]:
@@ -955,11 +1047,12 @@ class BatchDDPGHER(BatchLearner):
         return rows
 
     @torch.no_grad()
-    def test(self) -> list[dict[str, float]]:
-        """Return how good each run of the last cycle is without exploration."""
+    def test(self, asked: Sequence[bool]) -> list[dict[str, float]]:
+        """Return how good the runs that are asked for (E,) are without exploration."""
         n = self.config.n_test_rollouts * self.config.n_rollouts
         if not n:
             return []
+        self.on = torch.tensor(asked, device=self.device)
         rows = self._summary(self._play(rollout.TEST, n))
         names = ("success_rate", "mean_return", *rollout.FAULTS)
         return [{f"test_{name}": row[name] for name in names} for row in rows]
@@ -1002,16 +1095,26 @@ class BatchDDPGHER(BatchLearner):
             more = max(missing, self.lengths.shape[1], 32)
             shape = (len(self.memory), more, *self.memory.shape[2:])
             self.memory = torch.cat([self.memory, self.memory.new_zeros(shape)], dim=1)
-            self.lengths = torch.cat([self.lengths, self.lengths.new_zeros(shape[:2])], dim=1)
+            self.lengths = torch.cat(
+                [self.lengths, self.lengths.new_zeros(shape[:2])], dim=1
+            )
 
-    def _sample(self, n: Tensor, width: int, slots: Tensor | None, number: int) -> Batch[Tensor]:
+    def _sample(
+        self, n: Tensor, width: int, slots: Tensor | None, number: int
+    ) -> Batch[Tensor]:
         """Return `width` relabelled transitions of each run, of which `n` (E,) count; see `Replay`."""
         e = torch.arange(len(self.learners), device=self.device)[:, None]
         lengths = self.lengths
         if slots is not None:
             lengths = torch.where(slots >= 0, lengths[e, slots.clamp(min=0)], 0)
         ends = lengths.cumsum(dim=1)
-        u = self.draws(PICK, self.key[:, None], n[:, None], torch.arange(width, device=e.device) * 2 + number, width=3)
+        u = self.draws(
+            PICK,
+            self.key[:, None],
+            n[:, None],
+            torch.arange(width, device=e.device) * 2 + number,
+            width=3,
+        )
         pick = (u[..., 0] * ends[:, -1:]).long()
         which = torch.searchsorted(ends, pick, right=True).clamp(max=ends.shape[1] - 1)
         length = lengths.gather(1, which)
@@ -1023,24 +1126,33 @@ class BatchDDPGHER(BatchLearner):
         if self.is_relabelled:
             is_new = u[..., 1] < self.numbers("replay_p")
             future = t + 1 + (u[..., 2] * (length - t)).long()
-            goal = torch.where(is_new[..., None], self.memory[e, slot, future][..., a:b], goal)
+            goal = torch.where(
+                is_new[..., None], self.memory[e, slot, future][..., a:b], goal
+            )
             reward = self._reward(following[..., a:b], goal)
         first = b + self.n_goal
         action = row[..., first : first + self.n_actions]
-        return Batch(row[..., :a], goal, action, reward, following[..., :a], row[..., -1])
+        return Batch(
+            row[..., :a], goal, action, reward, following[..., :a], row[..., -1]
+        )
 
     def _reward(self, achieved: Tensor, desired: Tensor) -> Tensor:
         """Return rewards (E, n) of goals (E, n, goal), which the environment computes with NumPy."""
         goals = (part.flatten(0, 1).cpu().numpy() for part in (achieved, desired))
         rewards = self.learners[0].workers.compute_reward(*goals)
-        return torch.as_tensor(rewards, dtype=torch.float32, device=self.device).view(achieved.shape[:2])
+        return torch.as_tensor(rewards, dtype=torch.float32, device=self.device).view(
+            achieved.shape[:2]
+        )
 
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> list[dict[str, float]]:
         """Take one cycle's updates of each active run, with one or more moves of the target networks."""
         config, n = self.config, self.config.n_batches
-        size, counts = n * config.batch_size, torch.full_like(self.runs, n * config.batch_size)
+        size, counts = (
+            n * config.batch_size,
+            torch.full_like(self.runs, n * config.batch_size),
+        )
         drawn = self._sample(counts, size, None, 1)
         self._update_reward_scale(drawn.reward)
         batch = drawn._replace(
@@ -1097,13 +1209,18 @@ class BatchDDPGHER(BatchLearner):
         if not self.config.clip_target:
             return targets
         reward_span = (-self.worst[:, None] / scale, self.best[:, None] / scale)
-        return targets.clamp(*((reward / (1.0 - gamma)).float() for reward in reward_span))
+        return targets.clamp(
+            *((reward / (1.0 - gamma)).float() for reward in reward_span)
+        )
 
     @torch.no_grad()
     def _move_targets(self) -> None:
         """Move the target networks by 1 - polyak towards actors and critics."""
         share = (1.0 - self.numbers("polyak")) * self.on[:, None]
-        for target, network in ((self.target_actor, self.actor), (self.target_critic, self.critic)):
+        for target, network in (
+            (self.target_actor, self.actor),
+            (self.target_critic, self.critic),
+        ):
             target.flat.lerp_(network.flat, share)
 
     @torch.no_grad()
@@ -1111,14 +1228,17 @@ class BatchDDPGHER(BatchLearner):
         """Move the bounds of rewards to hold those drawn (E, n), as the single learner does."""
         mine = ((self.worst, -rewards.amin(dim=1)), (self.best, rewards.amax(dim=1)))
         self.worst, self.best = (
-            torch.where(self.on, torch.maximum(old, new.double()), old) for old, new in mine
+            torch.where(self.on, torch.maximum(old, new.double()), old)
+            for old, new in mine
         )
         if not self.config.normalize_rewards:
             return
         largest = torch.stack([self.worst, self.best, self.largest]).amax(dim=0)
         scale = largest / self.of_ones
         is_new = (scale > self.reward_scale) & self.on
-        factor = torch.where(is_new & (self.reward_scale > 0), self.reward_scale / scale, 1.0)
+        factor = torch.where(
+            is_new & (self.reward_scale > 0), self.reward_scale / scale, 1.0
+        )
         for critic in (self.critic, self.target_critic):
             critic.scale_outputs(factor.float())
         self.reward_scale = torch.where(is_new, scale, self.reward_scale)
@@ -1133,7 +1253,9 @@ class BatchDDPGHER(BatchLearner):
         for slot in range(replay.n_episodes):
             episode = replay.episode(slot)
             n = len(episode["obs"])
-            goals = torch.from_numpy(np.concatenate([episode["achieved"], episode["desired"]], 1))
+            goals = torch.from_numpy(
+                np.concatenate([episode["achieved"], episode["desired"]], 1)
+            )
             width = episode["obs"].shape[1]
             rewards = np.zeros(n, np.float32)
             achieved, desired = episode["achieved"][1:], episode["desired"][1:]
@@ -1158,7 +1280,10 @@ class BatchDDPGHER(BatchLearner):
         )
         for stacked, network in networks:
             _write_network(i, stacked, network)
-        for stacked, adam in ((self.actor, one.actor_adam), (self.critic, one.critic_adam)):
+        for stacked, adam in (
+            (self.actor, one.actor_adam),
+            (self.critic, one.critic_adam),
+        ):
             _write_adam(i, stacked, adam, 0, (stacked.m, stacked.v, stacked.n_steps))
         self.obs_stats.write(i, one.obs_stats)
         self.goal_stats.write(i, one.goal_stats)

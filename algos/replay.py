@@ -176,7 +176,9 @@ class Replay:
 
     def episode(self, slot: int) -> dict[str, Array]:
         """Return the rows of the episode in a slot, by column, as `put` takes them."""
-        rows = slice(slot * self._rows, slot * self._rows + int(self._lengths[slot]) + 1)
+        rows = slice(
+            slot * self._rows, slot * self._rows + int(self._lengths[slot]) + 1
+        )
         columns = {name: values[rows] for name, values in self._columns.items()}
         boolean = columns.pop("boolean")
         columns["obs"] = np.concatenate([columns["obs"], boolean], axis=1)
