@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import tactilerl
 import torch
 from gymnasium.vector import AutoresetMode
 from tactilerl import envs
@@ -201,6 +202,26 @@ def test_a_world_that_diverges_ends_alone() -> None:
     np.testing.assert_array_equal(obs["observation"][1], before["observation"][1])
     assert np.isfinite(obs["observation"]).all()
     assert batch.n_diverged == 1
+
+
+def test_by_name() -> None:
+    """Worlds are shared out between layouts, and Gymnasium finds the batch by a scene's id."""
+    batch = tactilerl.make_vec(scene="handover", simulator="mujoco", n=5, layouts=(1, 5), device="loop")
+    assert batch.group_sizes == (2, 3)
+    obs, _ = batch.reset(seed=0)
+    assert obs["observation"].shape == (5, max(batch.widths))
+    assert obs["observation"].dtype == torch.float32
+    batch.close()
+    found: Any = gym.make_vec("tactilerl/HandoverBatch-v0", num_envs=2, vectorization_mode="vector_entry_point", device="loop")
+    assert isinstance(found, BatchEnv)
+    found.reset(seed=0)
+    found.step(found.action_space.sample())
+    found.close()
+    with pytest.raises(ValueError, match="n: found 1"):
+        tactilerl.make_vec("mpl", simulator="mujoco", n=1, layouts=(1, 5), device="loop")
+    if not torch.cuda.is_available():
+        with pytest.raises(ValueError, match="device: found no GPU"):
+            tactilerl.make_vec("mpl", simulator="mujoco")
 
 
 @pytest.mark.slow
