@@ -47,9 +47,6 @@ from .rollout import (
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
-SILENCE_P = (
-    0.2  # failures that were less likely than this for the policy before are undone
-)
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -214,6 +211,60 @@ def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surro
     return Surrogate(loss, (ratio - 1 - log_ratio).detach(), clipped != ratio)
 
 
+class Silence:
+    """Judge whether the last update is to blame that every episode fails alike.
+
+    It counts episodes by their returns: those that failed, with the lowest return of an epoch in which
+    returns differed, and all others. Both fade by `KEEP` from one update to the next, so they speak of
+    the last five or so. An update is undone once as many failures in a row as came since had a
+    probability below `LEVEL` before it: for a success rate between 0 and 1 that the counts leave
+    uncertain (Beta distribution, Jeffreys' prior). So of updates that change nothing, about one in
+    fifty is undone. After that, nothing is judged until there is another update.
+    """
+
+    LEVEL, KEEP, PRIOR = 0.02, 0.8, 0.5
+
+    def __init__(self) -> None:
+        self.failure = -math.inf  # the return of a failure; -inf until returns differed
+        self.failed = self.others = 0.0  # episodes before the last update
+        self.failed_since = 0  # all episodes since
+        self.can_undo = False
+
+    def judge(self, returns: Sequence[float]) -> Literal["learn", "wait", "undo"]:
+        """Return what an epoch's returns say: learn from it, or not, or undo the last update, too."""
+        lowest, highest, n = min(returns), max(returns), len(returns)
+        if lowest == highest == self.failure or highest < self.failure:
+            return self._judge_failures(n)
+        if lowest == highest and self.failure == -math.inf:
+            return "learn"  # nobody knows yet what a failure is
+        if lowest < highest and lowest != self.failure:
+            self.failure, self.failed, self.others, self.failed_since = lowest, 0, 0, 0
+        failed = returns.count(self.failure)
+        self.failed = self.KEEP * self.failed + self.failed_since + failed
+        self.others = self.KEEP * self.others + n - failed
+        self.failed_since, self.can_undo = 0, True
+        return "learn"
+
+    def _judge_failures(self, n: int) -> Literal["wait", "undo"]:
+        self.failed_since += n
+        failed, others = self.failed + self.PRIOR, self.others + self.PRIOR
+        # Beta function of (failed + failed_since, others) over that of (failed, others).
+        log_p = math.lgamma(failed + self.failed_since) + math.lgamma(failed + others)
+        log_p -= math.lgamma(failed + self.failed_since + others) + math.lgamma(failed)
+        if not self.can_undo or log_p >= math.log(self.LEVEL):
+            return "wait"
+        self.failed_since, self.can_undo = 0, False  # these were the undone policy's
+        return "undo"
+
+    def state_dict(self) -> dict[str, float]:
+        """Return what it has counted."""
+        return dict(vars(self))
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Go on counting from what `state_dict` returned."""
+        vars(self).update(state)
+
+
 class Transitions(NamedTuple):
     """Hold what is learned from, as tensors with a leading axis (n, ...)."""
 
@@ -229,14 +280,19 @@ class PPO(Learner):
     """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    saved = (*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam")
+    acting = ("actor", "gaussian", "actor_adam", "std_adam")
+    saved = (
+        *policy_parts,
+        "critic",
+        "actor_adam",
+        "std_adam",
+        "critic_adam",
+        "silence",
+    )
     plain = (
         "env_steps",
         "epochs",
         "before_update",
-        "failure",
-        "failure_share",
-        "failures",
         "reward_scale",
         "lowest_reward",
         "highest_reward",
@@ -265,11 +321,8 @@ class PPO(Learner):
         self.actor_adam = self.adam([*self.actor.parameters()], config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.epochs, self._episodes = 0, list[Episode[Array]]()
-        # Of the last epoch whose episodes differed: the actor before its update (empty before any
-        # did), the lowest return, and the share of episodes that had it.
-        self.before_update: dict[str, Any] = {}
-        self.failure, self.failure_share = 0.0, 1.0
-        self.failures = 0  # episodes since then, all with that return
+        self.silence = Silence()
+        self.before_update: dict[str, Any] = {}  # states of `acting`
         self.reward_scale = 0.0 if config.normalize_rewards else 1.0
         self.lowest_reward = self.highest_reward = 0.0  # of all so far, 0 included
 
@@ -406,40 +459,19 @@ class PPO(Learner):
         return torch.stack(losses)
 
     def _look_at_returns(self) -> tuple[bool, int]:
-        """Return whether this epoch says nothing to the actor, and how many updates were undone.
-
-        An epoch is silent where all episodes fail alike: their returns are the same, and no better
-        than the worst of the last epoch in which they differed. If a share p of the episodes failed
-        then, n failures in a row had a probability of p^n. Once this is below `SILENCE_P`, the actor
-        goes back to the policy of that epoch. Before any epoch differed, and where all episodes
-        succeed, there is nothing to undo.
-        """
+        """Return whether this epoch says nothing to the actor, and how many updates were undone."""
         # Returns of episodes that the physics cut off say nothing.
         whole = [e for e in self._episodes if not e.faults["diverged"]]
-        returns = [sum(episode.rewards) for episode in whole]
-        if not returns:
-            return False, 0
-        parts: dict[str, Any] = {
-            "actor": self.actor,
-            "gaussian": self.gaussian,
-            "actor_adam": self.actor_adam,
-            "std_adam": self.std_adam,
-        }
-        lowest = min(returns)
-        if lowest < max(returns):
-            states = {name: part.state_dict() for name, part in parts.items()}
+        verdict = (
+            self.silence.judge([sum(e.rewards) for e in whole]) if whole else "learn"
+        )
+        acting = {name: getattr(self, name) for name in self.acting}
+        if verdict == "learn" and self.silence.can_undo:
+            states = {name: part.state_dict() for name, part in acting.items()}
             self.before_update = copy.deepcopy(states)
-            self.failure, self.failures = lowest, 0
-            self.failure_share = returns.count(lowest) / len(returns)
-            return False, 0
-        if not self.before_update or lowest > self.failure:
-            return False, 0
-        self.failures += len(returns)
-        if self.failure_share**self.failures >= SILENCE_P:
-            return True, 0
-        restore(parts, self.before_update)
-        self.failures = 0
-        return True, 1
+        elif verdict == "undo":
+            restore(acting, self.before_update)
+        return verdict != "learn", int(verdict == "undo")
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
