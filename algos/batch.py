@@ -26,7 +26,7 @@ from .ddpg_her import DDPGHER, td_targets
 from .learner import Learner, restore
 from .networks import MLP
 from .normalizer import BLOCK_NORM, MIN_STD, PRIOR_ROWS, Normalizer, Scaling
-from .ppo import PPO, SILENCE_P, surrogate
+from .ppo import PPO, surrogate
 from .replay import Batch, Replay
 
 GOLDEN = -7046029254386353131  # 2^64 / the golden ratio, as int64
@@ -767,29 +767,15 @@ class BatchPPO(BatchLearner):
                 x for x, is_whole in zip(sums[i], whole[i], strict=True) if is_whole
             ]
             if returns and is_on:
-                verdicts[i] = self._silence(i, one, returns)
+                verdict = one.silence.judge(returns)
+                is_kept = verdict == "learn" and one.silence.can_undo
+                self.has_before[i] |= is_kept
+                verdicts[i] = verdict != "learn", verdict == "undo", is_kept
         silent, undone, kept = torch.tensor(verdicts, device=device).unbind(dim=1)
         for now, before in zip(self._actor_state(), self.before, strict=True):
             before.copy_(torch.where(kept[:, None], now, before))
             now.copy_(torch.where(undone[:, None], before, now))
         return silent, undone
-
-    def _silence(
-        self, i: int, one: PPO, returns: list[float]
-    ) -> tuple[bool, bool, bool]:
-        """Return whether run `i` is silent, whether it is undone, and whether its actor is to be kept."""
-        lowest = min(returns)
-        if lowest < max(returns):
-            self.has_before[i], one.failure, one.failures = True, lowest, 0
-            one.failure_share = returns.count(lowest) / len(returns)
-            return False, False, True
-        if not self.has_before[i] or lowest > one.failure:
-            return False, False, False
-        one.failures += len(returns)
-        if one.failure_share**one.failures >= SILENCE_P:
-            return True, False, False
-        one.failures = 0
-        return True, True, False
 
     @torch.no_grad()
     def _batch(self) -> tuple[tuple[Tensor, Tensor], list[Tensor], Tensor]:
@@ -851,8 +837,7 @@ class BatchPPO(BatchLearner):
     def _read_before(self, i: int, saved: dict[str, Any]) -> None:
         """Take the actor to which an undone update of run `i` goes back from its saved states."""
         one, kept = copy.deepcopy(self.learners[i]), self._actor_state()
-        names = ("actor", "gaussian", "actor_adam", "std_adam")
-        restore({name: getattr(one, name) for name in names}, saved)
+        restore({name: getattr(one, name) for name in one.acting}, saved)
         now = [part[i].clone() for part in kept]
         self._read_actor(i, one)
         for part, before, before_read in zip(kept, self.before, now, strict=True):
@@ -879,8 +864,7 @@ class BatchPPO(BatchLearner):
         one: PPO = self.learners[i]
         if self.has_before[i]:
             self._write_actor(i, one, self.before)
-            parts = ("actor", "gaussian", "actor_adam", "std_adam")
-            states = {name: getattr(one, name).state_dict() for name in parts}
+            states = {name: getattr(one, name).state_dict() for name in one.acting}
             one.before_update = copy.deepcopy(states)
         self._write_actor(i, one, self._actor_state())
         _write_network(i, self.critic, one.critic)
