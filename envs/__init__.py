@@ -96,9 +96,11 @@ def make_vec(
 ) -> BatchEnv:
     """Return many worlds of a hand or scene, played at once: a Gymnasium VectorEnv of PyTorch tensors.
 
-    `n` (or `num_envs`) worlds are shared out evenly between `layouts`, the scene's own if there are none.
+    `n` (or `num_envs`) worlds are shared out evenly between `layouts` (none: the scene's own).
     `device` is that of MuJoCo Warp (None: the GPU), or "loop", which is exact and slow; `options` are
-    further arguments of `batch.BatchEnv`. The rest is as in `make`. Raise ValueError for what cannot be.
+    further arguments of `batch.BatchEnv`. The rest is as in `make`.
+
+    Raise ValueError for what cannot be.
     """
     import torch
 

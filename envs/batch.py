@@ -1,14 +1,15 @@
 """BatchEnv: what `GraspEnv` plays, in many worlds at once; a Gymnasium VectorEnv.
 
-Physics, touch and observations are PyTorch's, on the device; tasks, hold tests and what an episode draws
-are NumPy's, with a leading axis, from `GraspEnv`'s own parts where these have one. Taxels move nothing:
-worlds with other layouts, other faults or no touch at all share one batch of physics.
+Physics, touch and observations are PyTorch's, on the device; tasks, hold tests and what an episode
+draws are NumPy's, with a leading axis, from `GraspEnv`'s own parts where these have one. Taxels move
+nothing: worlds with other layouts, other faults or no touch at all share one batch of physics.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -31,7 +32,12 @@ from .tasks import OUTCOMES
 
 Obs = dict[str, Any]
 BY_GROUP = frozenset(
-    ("layout", "touch", "hand_seed", *(f.name for f in fields(GraspConfig) if f.name.startswith("taxel_")))
+    (
+        "layout",
+        "touch",
+        "hand_seed",
+        *(f.name for f in fields(GraspConfig) if f.name.startswith("taxel_")),
+    )
 )
 """Fields in which the groups of a batch may differ."""
 
@@ -42,16 +48,24 @@ def require_batched(configs: Sequence[GraspConfig]) -> None:
     for field in fields(GraspConfig):
         values = {getattr(config, field.name) for config in configs}
         if field.name not in BY_GROUP and len(values) > 1:
-            raise ValueError(f"{field.name}: found {values} in a batch, allowed one value")
+            raise ValueError(
+                f"{field.name}: found {values} in a batch, allowed one value"
+            )
     for name, found, allowed in (
         ("simulator", first.simulator, ("mujoco",)),
         ("touch_rule", first.touch_rule, ("skin", "force")),
         ("task", first.task, tuple(_TASKS)),
     ):
         if found not in allowed:
-            raise ValueError(f"{name}: found {found!r} in a batch, allowed: {', '.join(allowed)}")
-    if tasks.TASKS[first.task] is not _OWN[first.task] or touch.RULES[first.touch_rule] not in (touch.SkinTouch, touch.ForceRule):
-        raise ValueError("task and touch_rule: found another's in a batch, allowed the library's")
+            raise ValueError(
+                f"{name}: found {found!r} in a batch, allowed: {', '.join(allowed)}"
+            )
+    if tasks.TASKS[first.task] is not _OWN[first.task] or touch.RULES[
+        first.touch_rule
+    ] not in (touch.SkinTouch, touch.ForceRule):
+        raise ValueError(
+            "task and touch_rule: found another's in a batch, allowed the library's"
+        )
     if "," in first.object:
         raise ValueError(f"object: found {first.object!r} in a batch, allowed one kind")
 
@@ -59,16 +73,16 @@ def require_batched(configs: Sequence[GraspConfig]) -> None:
 class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """Many worlds of one scene, in groups that may differ in layout, touch and the taxels' faults.
 
-    Worlds of a group are consecutive. Observations are a dict of float32 tensors (n, ...) on the device:
-    ``observation``, each group's own at the front and zeros behind (`widths`), ``achieved_goal`` and
+    Worlds of a group are consecutive. Observations are a dict of float32 tensors (n, ...) on the
+    device: ``observation``, each group's own at the front and zeros behind (`widths`), ``achieved_goal`` and
     ``desired_goal``. Rewards are float32, the rest bool, (n,): tensors as well; NumPy's with
     `numpy=True`. In ``info``, each (n,) and NumPy's: ``is_success``; ``diverged``, as in `GraspEnv`, or
     because a world had no room for its contacts (``overflowed``); and ``holding``.
 
     A step that ends in a hold test is not over before the test is, which takes several calls of `step`:
     until then the world is ``holding``, shows what it showed before that step, has reward 0 and ignores
-    actions. The call that says ``holding`` no more ends the step: it returns observation, reward and end
-    as `GraspEnv` returns them at once. So a learner keeps the observation and the action with which it
+    actions. The call that says ``holding`` no more ends the step: it returns observation, reward and
+    end as `GraspEnv` returns them at once. So a learner keeps the observation and the action with which it
     began a step until that step comes back without ``holding``.
 
     With `AutoresetMode.DISABLED` a world that has ended stands still until it is reset.
@@ -88,8 +102,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         `device` is PyTorch's for MuJoCo Warp, or "loop": MuJoCo in a loop, on the CPU. `draws` says
         what the noise of each step comes from: "host", `GraspEnv`'s own generators, the same numbers
-        (usual with "loop"), or "device" (else), a counter hashed with the episode's key. What an episode
-        draws at its start is the same with both. `simulator` are options of the simulator.
+        (usual with "loop"), or "device" (else), a counter hashed with the episode's key. What an
+        episode draws at its start is the same with both. `simulator` are options of the simulator.
 
         Raise ValueError for scenes that do not go together.
         """
@@ -112,7 +126,12 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.simulator = simulators.make(single.simulator.scene, n, device, **simulator)
         self.device = self.simulator.device
         draws = draws or ("host" if device == "loop" else "device")
-        self._senses = _Senses(members, groups, self.simulator, {"host": HostDraws, "device": DeviceDraws}[draws])
+        self._senses = _Senses(
+            members,
+            groups,
+            self.simulator,
+            {"host": HostDraws, "device": DeviceDraws}[draws],
+        )
         self._task = _TASKS[self.config.task](self.task, n)
         self._hold = _Hold(self.task.hold, self.config.timestep, n)
         self.metadata = {"autoreset_mode": autoreset}
@@ -153,10 +172,12 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """
         n = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
-        seeds: Sequence[int | None] = [None] * n if seed is None else seed if isinstance(seed, Sequence | np.ndarray) else [seed + i for i in range(n)]  # fmt: skip
+        seeds: Any = [None] * n if seed is None else seed
+        if isinstance(seed, int | np.integer):
+            seeds = [seed + i for i in range(n)]
         for i in np.flatnonzero(mask).tolist():
             if seeds[i] is not None or self._rngs[i] is None:
-                given = None if seeds[i] is None else int(seeds[i])  # type: ignore[arg-type]
+                given = None if seeds[i] is None else int(seeds[i])
                 self._rngs[i], _ = gym.utils.seeding.np_random(given)
                 self._drawn[i] = None
         self._begin(np.flatnonzero(mask))
@@ -168,7 +189,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _draw(self, i: int) -> _Draw:
         item, start, observer, rng = self._single.draw_start(self._rngs[i])
         nothing = np.zeros((len(self.hand.fingertips), 3))
-        known: Any = SimpleNamespace(object_position=start.position, palm=nothing[0], fingertips=nothing)
+        known: Any = SimpleNamespace(
+            object_position=start.position, palm=nothing[0], fingertips=nothing
+        )
         _, desired = self.task.reset(known, rng)
         return _Draw(item, start, observer, desired, getattr(self.task, "sets_off", 0))
 
@@ -193,13 +216,17 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             np.array([item.mass for item in items]),
             np.array([item.friction for item in items]),
         )
-        joints, position, yaw, targets = map(np.array, zip(*(draw.start for draw in drawn), strict=True))
+        joints, position, yaw, targets = map(
+            np.array, zip(*(draw.start for draw in drawn), strict=True)
+        )
         self._targets[which] = targets
         self.simulator.reset(which, joints, position, yaw, targets)
         self._desired[which] = [draw.desired for draw in drawn]
         self._task.begin(which, position, np.array([draw.sets_off for draw in drawn]))
         self._steps[which], self._over[which], self._holding[which] = 0, False, False
-        self._task.before_step(self.simulator, self._steps, np.isin(np.arange(self.num_envs), which))
+        self._task.before_step(
+            self.simulator, self._steps, np.isin(np.arange(self.num_envs), which)
+        )
 
     def _start_goals(self, mask: Array, truth: _Truth) -> None:
         self._position[mask] = truth.object_position[mask]
@@ -208,17 +235,24 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def _look(self) -> tuple[BatchState, _Truth]:
         state = self.simulator.state(self._senses.wants_contacts)
-        parts = state.palm, state.fingertips, state.object_position, state.object_rotation, state.half_size, state.joint_positions[:, 2]  # fmt: skip
-        flat = torch.cat([part.reshape(self.num_envs, -1) for part in parts], 1).cpu().numpy().astype(np.float64)
+        parts = (
+            *(state.palm, state.fingertips, state.object_position),
+            *(state.object_rotation, state.half_size, state.joint_positions[:, 2]),
+        )
+        n = self.num_envs
+        flat = torch.cat([part.reshape(n, -1) for part in parts], 1).cpu().numpy()
         ends = np.cumsum([part[0].numel() for part in parts])[:-1]
-        values = [value.reshape(self.num_envs, *part.shape[1:]) for value, part in zip(np.split(flat, ends, 1), parts, strict=True)]  # fmt: skip
+        values = [
+            value.reshape(n, *part.shape[1:]).astype(np.float64)
+            for value, part in zip(np.split(flat, ends, 1), parts, strict=True)
+        ]
         return state, _Truth(self.simulator.kind, *values)
 
     # -- a step ------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> tuple[Obs, Any, Any, Any, dict[str, Any]]:
-        """Take a step by actions (n, n_actions) in [-1, 1]; see the class for worlds that are holding."""
-        n, were_holding = self.num_envs, self._holding.copy()
+        """Take a step by actions (n, n_actions); see the class for worlds that are holding."""
+        were_holding = self._holding.copy()
         fresh = self._over & (self._autoreset == AutoresetMode.NEXT_STEP)
         playing = ~self._holding & ~self._over
         self._advance(self._checked(actions), playing)
@@ -261,10 +295,16 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             self._observe(state, again, again)
             self._start_goals(again, truth)
             obs = self._obs_dict()
-        return self._out(obs), *map(self._out, (reward.astype(np.float32), terminated, truncated)), info
+        return (
+            self._out(obs),
+            *map(self._out, (reward.astype(np.float32), terminated, truncated)),
+            info,
+        )
 
     def _checked(self, actions: Any) -> Array:
-        values = actions.detach().cpu().numpy() if isinstance(actions, Tensor) else actions
+        values = (
+            actions.detach().cpu().numpy() if isinstance(actions, Tensor) else actions
+        )
         values, shape = np.asarray(values, np.float64), self.action_space.shape
         if values.shape != shape:
             raise ValueError(f"actions: found shape {values.shape}, allowed {shape}")
@@ -306,7 +346,10 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     # -- what comes out ----------------------------------------------------------------------
 
     def _obs_dict(self) -> Obs:
-        goals = {"achieved_goal": self._shown.copy(), "desired_goal": self._desired.copy()}
+        goals = {
+            "achieved_goal": self._shown.copy(),
+            "desired_goal": self._desired.copy(),
+        }
         return {"observation": self._obs, **goals}
 
     def _out(self, value: Any) -> Any:
@@ -318,9 +361,17 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def _info(self, **values: Any) -> dict[str, Any]:
         no = np.zeros(self.num_envs, bool)
-        return {"is_success": no, "diverged": no, "overflowed": no, "holding": self._holding.copy(), **values}
+        return {
+            "is_success": no,
+            "diverged": no,
+            "overflowed": no,
+            "holding": self._holding.copy(),
+            **values,
+        }
 
-    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
+    def compute_reward(
+        self, achieved_goal: Array, desired_goal: Array, info: Any
+    ) -> Array:
         """Return the rewards (...) of goals (..., goal_size), by them alone."""
         return self.task.compute_reward(achieved_goal, desired_goal)
 
@@ -360,11 +411,11 @@ class _Truth(NamedTuple):
         """The object's places relative to the palm, (n, 3)."""
         return self.object_position - self.palm
 
-    @property
-    def corners(self) -> Array:
-        """As `hold` has them, (n, 8, 3)."""
-        turned = np.einsum("nci,nji->ncj", hold.CORNERS * self.half_size[:, None], self.object_rotation)
-        return self.in_hand[:, None] + turned
+    def corners(self, which: Array) -> Array:
+        """Return those of some worlds' objects as `hold` has them, (k, 8, 3)."""
+        scaled = hold.CORNERS * self.half_size[which, None]
+        turned = np.einsum("nci,nji->ncj", scaled, self.object_rotation[which])
+        return self.in_hand[which, None] + turned
 
     @property
     def clearance(self) -> Array:
@@ -373,8 +424,12 @@ class _Truth(NamedTuple):
         upright = np.abs(self.object_rotation[:, 2, 2])
         reach = {
             "sphere": lambda: x,
-            "cylinder": lambda: z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2)),
-            "box": lambda: np.einsum("ni,ni->n", np.abs(self.object_rotation[:, 2]), self.half_size),
+            "cylinder": lambda: (
+                z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2))
+            ),
+            "box": lambda: np.einsum(
+                "ni,ni->n", np.abs(self.object_rotation[:, 2]), self.half_size
+            ),
         }[self.kind]()
         return self.object_position[:, 2] - reach
 
@@ -389,18 +444,34 @@ class _Reach:
     """Outcome of a hold test that failed."""
 
     def __init__(self, task: Any, n: int) -> None:
-        self.task, self._was_off, self._sets_off = task, np.zeros(n, bool), np.zeros(n, int)
+        self.task, self._was_off, self._sets_off = (
+            task,
+            np.zeros(n, bool),
+            np.zeros(n, int),
+        )
         self._wait = np.zeros((n, 3))
 
     def begin(self, which: Array, position: Array, sets_off: Array) -> None:
-        self._was_off[which], self._wait[which], self._sets_off[which] = False, position, sets_off
+        self._was_off[which], self._wait[which], self._sets_off[which] = (
+            False,
+            position,
+            sets_off,
+        )
 
-    def before_step(self, simulator: BatchSimulator, steps: Array, playing: Array) -> None:
+    def before_step(
+        self, simulator: BatchSimulator, steps: Array, playing: Array
+    ) -> None:
         pass
 
-    def after_step(self, truth: _Truth, steps: Array, is_last: Array) -> tuple[Array, Array, Array]:
+    def after_step(
+        self, truth: _Truth, steps: Array, is_last: Array
+    ) -> tuple[Array, Array, Array]:
         """Return outcomes, which episodes end by the task's own rules, and which hold tests are due."""
-        return np.zeros(len(steps)), np.zeros(len(steps), bool), np.zeros(len(steps), bool)
+        return (
+            np.zeros(len(steps)),
+            np.zeros(len(steps), bool),
+            np.zeros(len(steps), bool),
+        )
 
     def achieved(self, truth: _Truth, outcome: Array) -> Array:
         return truth.object_position
@@ -409,12 +480,16 @@ class _Reach:
 class _Lift(_Reach):
     lost = OUTCOMES["dropped"]
 
-    def after_step(self, truth: _Truth, steps: Array, is_last: Array) -> tuple[Array, Array, Array]:
+    def after_step(
+        self, truth: _Truth, steps: Array, is_last: Array
+    ) -> tuple[Array, Array, Array]:
         clearance = truth.clearance
         was_off, self._was_off = self._was_off, clearance > tasks.OFF_GROUND
         due = clearance > self.task.config.lift_clearance
         late = is_last & ~due
-        outcome = np.where(was_off & ~self._was_off, OUTCOMES["fell_back"], OUTCOMES["undecided"])
+        outcome = np.where(
+            was_off & ~self._was_off, OUTCOMES["fell_back"], OUTCOMES["undecided"]
+        )
         return np.where(late, OUTCOMES["timed_out"], outcome), late, due
 
     def achieved(self, truth: _Truth, outcome: Array) -> Array:
@@ -426,7 +501,9 @@ class _Lift(_Reach):
 class _Handover(_Reach):
     lost = OUTCOMES["missed"]
 
-    def before_step(self, simulator: BatchSimulator, steps: Array, playing: Array) -> None:
+    def before_step(
+        self, simulator: BatchSimulator, steps: Array, playing: Array
+    ) -> None:
         task, up = self.task, np.array([0.0, 0.0, self.task.below + self.task.beyond])
         waits = np.flatnonzero(playing & (steps == 0))
         sets_off = np.flatnonzero(playing & (steps == self._sets_off))
@@ -438,17 +515,33 @@ class _Handover(_Reach):
         if len(leaves):
             simulator.let_go(leaves)
 
-    def after_step(self, truth: _Truth, steps: Array, is_last: Array) -> tuple[Array, Array, Array]:
+    def after_step(
+        self, truth: _Truth, steps: Array, is_last: Array
+    ) -> tuple[Array, Array, Array]:
         since = steps - self._sets_off - self.task.stays
-        missed = (since >= 0) & (np.linalg.norm(truth.in_hand, axis=1) > self.task.fallen)
-        return np.where(missed, OUTCOMES["missed"], 0.0), missed, since >= self.task.settles
+        missed = (since >= 0) & (
+            np.linalg.norm(truth.in_hand, axis=1) > self.task.fallen
+        )
+        return (
+            np.where(missed, OUTCOMES["missed"], 0.0),
+            missed,
+            since >= self.task.settles,
+        )
 
     def achieved(self, truth: _Truth, outcome: Array) -> Array:
         return outcome[:, None]
 
 
-_TASKS: dict[str, type[_Reach]] = {"reach-goal": _Reach, "lift-and-hold": _Lift, "handover": _Handover}
-_OWN = {"reach-goal": tasks.ReachGoal, "lift-and-hold": tasks.LiftAndHold, "handover": tasks.Handover}
+_TASKS: dict[str, type[_Reach]] = {
+    "reach-goal": _Reach,
+    "lift-and-hold": _Lift,
+    "handover": _Handover,
+}
+_OWN = {
+    "reach-goal": tasks.ReachGoal,
+    "lift-and-hold": tasks.LiftAndHold,
+    "handover": tasks.Handover,
+}
 
 
 class _Hold:
@@ -469,14 +562,15 @@ class _Hold:
         self._slide[which] = truth.slide[which]
         self._top[which] = (truth.slide + self.test.height - truth.palm[:, 2])[which]
         self._look[which], self._left[which] = 0, self._n_whole
-        if which.any():
-            self._corners[which] = truth.corners[which]
+        self._corners[which] = truth.corners(which)
 
     def plan(self, which: Array, targets: Array, n_substeps: Array) -> None:
         """Write the next look's target of the slide, and its number of timesteps."""
         rises = which & (self._slide != self._top)
         stays = which & ~rises
-        self._slide[rises] += np.clip(self._top - self._slide, -self._rise, self._rise)[rises]
+        self._slide[rises] += np.clip(self._top - self._slide, -self._rise, self._rise)[
+            rises
+        ]
         n_substeps[rises] = self._n_substeps
         n_substeps[stays] = np.minimum(self._n_substeps, self._left[stays])
         self._left[stays] -= n_substeps[stays]
@@ -489,9 +583,10 @@ class _Hold:
         fell = which & ~(np.linalg.norm(truth.in_hand, axis=1) <= test.out_of_reach)
         held = which & ~fell & is_at_top & (self._left == 0)
         if test.verdict == "settled" and which.any():
-            corners = truth.corners
-            speed = np.linalg.norm(corners - self._corners, axis=2).max(1) / test.look_every
-            self._corners[which] = corners[which]
+            corners, speed = truth.corners(which), np.zeros(len(which))
+            moved = np.linalg.norm(corners - self._corners[which], axis=2).max(1)
+            speed[which] = moved / test.look_every
+            self._corners[which] = corners
             compressed = self._compressed
             whole = (test.seconds + test.height / hold.RAISE_SPEED) / test.creep
             left = np.maximum(0.0, whole - compressed)
@@ -530,12 +625,16 @@ class HostDraws:
         (held,) = joints.spawn(1)
         self._rngs[i] = dict(zip(STREAMS, (sight, joints, held, taxels), strict=True))
 
-    def __call__(self, stream: str, which: Array, widths: Array, is_normal: bool = True) -> Tensor:
+    def __call__(
+        self, stream: str, which: Array, widths: Array, is_normal: bool = True
+    ) -> Tensor:
         """Return draws (n, widest) of a stream for some worlds, `widths` (n,) numbers for each."""
         result = np.zeros((len(which), int(widths.max(initial=0))))
         for i in np.flatnonzero(which).tolist():
             rng, width = self._rngs[i][stream], int(widths[i])
-            result[i, :width] = rng.standard_normal(width) if is_normal else rng.random(width)
+            result[i, :width] = (
+                rng.standard_normal(width) if is_normal else rng.random(width)
+            )
         return self._tensor(result)
 
 
@@ -554,7 +653,9 @@ class DeviceDraws:
         self._keys[i] = seeds.generate_state(1, np.uint64).view(np.int64)[0]
         self._count[i] = 0
 
-    def __call__(self, stream: str, which: Array, widths: Array, is_normal: bool = True) -> Tensor:
+    def __call__(
+        self, stream: str, which: Array, widths: Array, is_normal: bool = True
+    ) -> Tensor:
         """Return draws (n, widest) of a stream."""
         like = self._tensor(0.0)
         self._count[which] += 1
@@ -562,7 +663,9 @@ class DeviceDraws:
         width = int(widths.max(initial=0))
         n_bits = 2 * width if is_normal else width
         key = torch.as_tensor(starts, device=like.device)[:, None]
-        bits = _mixed(key + torch.arange(n_bits, device=like.device) * -7046029254386353131)
+        bits = _mixed(
+            key + torch.arange(n_bits, device=like.device) * -7046029254386353131
+        )
         uniform = ((bits >> 11) & 0x1FFFFFFFFFFFFF).double() * 2.0**-53
         if not is_normal:
             return uniform.to(like.dtype)
@@ -585,32 +688,58 @@ class _Touch:
 
     def __init__(self, env: GraspEnv, which: Array, simulator: BatchSimulator) -> None:
         rule: Any = env._touch
-        self._rule, self._taxels, self.which = rule, env.taxels, torch.as_tensor(which, device=simulator.device)
-        index = lambda values: torch.as_tensor(np.array(values), device=simulator.device)  # noqa: E731
+        self._rule, self._taxels, self.which = (
+            rule,
+            env.taxels,
+            torch.as_tensor(which, device=simulator.device),
+        )
+
+        def index(values: Any) -> Tensor:
+            return torch.as_tensor(np.array(values), device=simulator.device)
+
         tensor = simulator.tensor
         self.n, self._kind = len(env.taxels), simulator.kind
         self._links = index(places(simulator.links, rule._points.links))
-        self._blocks, self._reaches = tensor(rule._points._blocks), tensor(rule._squared_reaches)
+        self._blocks, self._reaches = (
+            tensor(rule._points._blocks),
+            tensor(rule._squared_reaches),
+        )
         bounds = [*rule._first.tolist(), len(rule._squared_reaches) - self.n]
         length = max(np.diff(bounds))
-        along = [[min(a + k, b - 1) for k in range(length)] for a, b in zip(bounds, bounds[1:], strict=False)]
+        along = [
+            [min(a + k, b - 1) for k in range(length)] for a, b in pairwise(bounds)
+        ]
         self._along, self._bone = index(along) + self.n, index(rule._bone)
         self.reads_forces = isinstance(rule, touch.ForceRule)
         self._has_thresholds = isinstance(rule, touch.ThresholdTouch)
         if self.reads_forces:
             self._link = index(env.taxels.link_index)
-            self._normals, self._radii = tensor(env.taxels.normals), tensor(env.taxels.radii)
+            self._normals, self._radii = (
+                tensor(env.taxels.normals),
+                tensor(env.taxels.radii),
+            )
         if self._has_thresholds:
-            self._thresholds, self._releases = tensor(rule._thresholds), tensor(rule._releases)
-            self._fires = torch.zeros((len(which), self.n), dtype=torch.bool, device=simulator.device)
+            self._thresholds, self._releases = (
+                tensor(rule._thresholds),
+                tensor(rule._releases),
+            )
+            self._fires = torch.zeros(
+                (len(which), self.n), dtype=torch.bool, device=simulator.device
+            )
 
     def read(self, state: BatchState, which: Tensor, first: Tensor) -> Tensor:
         """Return readings (k, n_taxels); only those of `which` (n,) are remembered."""
         positions = state.link_positions[self.which[:, None], self._links]
         rotations = state.link_rotations[self.which[:, None], self._links]
-        place, turn = state.object_position[self.which], state.object_rotation[self.which]
+        place, turn = (
+            state.object_position[self.which],
+            state.object_rotation[self.which],
+        )
         local = self._blocks @ (_stacked(positions - place[:, None], rotations) @ turn)
-        in_reach = _squared_distance(self._kind, state.half_size[self.which], local) <= self._reaches
+        in_reach = (
+            _squared_distance(self._kind, state.half_size[self.which], local)
+            <= self._reaches
+        )
         is_on = in_reach[:, : self.n] & in_reach[:, self._along].any(2)[:, self._bone]
         self._correct(is_on, positions, rotations, state)
         if not self.reads_forces:
@@ -623,14 +752,19 @@ class _Touch:
         self._fires = torch.where(which[self.which, None], fires, self._fires)
         return fires
 
-    def _correct(self, is_on: Tensor, positions: Tensor, rotations: Tensor, state: BatchState) -> None:
-        """Let MuJoCo look at links that are neither capsules nor flat, in the worlds that may feel there."""
+    def _correct(
+        self, is_on: Tensor, positions: Tensor, rotations: Tensor, state: BatchState
+    ) -> None:
+        """Let MuJoCo look at links that are neither capsules nor flat, where they may feel."""
         if not self._rule._shaped._taxels_of_geom:
             return
         felt = is_on.any(1).nonzero()[:, 0]
-        parts = positions, rotations, *(part[self.which] for part in (state.object_position, state.object_rotation, state.half_size))  # fmt: skip
+        of_object = state.object_position, state.object_rotation, state.half_size
+        parts = positions, rotations, *(part[self.which] for part in of_object)
         on, *values = (part[felt].cpu().numpy() for part in (is_on, *parts))
-        for row, *pose, place, turn, half in zip(on, *(value.astype(np.float64) for value in values), strict=True):
+        for row, *pose, place, turn, half in zip(
+            on, *(value.astype(np.float64) for value in values), strict=True
+        ):
             known: Any = SimpleNamespace(
                 poses=lambda links, pose=pose: pose,
                 object_position=place,
@@ -652,13 +786,15 @@ class _Touch:
         offsets = self._blocks[: self.n] @ poses - middles
         distances = offsets.norm(dim=2)
         ways = offsets / distances.clamp_min(touch.EPSILON)[..., None]
-        beyond = torch.einsum("kni,knci->knc", ways, middles[:, :, None] - points[:, None])
+        beyond = torch.einsum(
+            "kni,knci->knc", ways, middles[:, :, None] - points[:, None]
+        )
         rims = touch.PATCH + (beyond * (along > 0)).clamp_min(0.0).amax(2)
         return totals * rims / (rims + (distances - self._radii).clamp_min(0.0))
 
 
 def _stacked(positions: Tensor, rotations: Tensor) -> Tensor:
-    """Return poses (k, links, 3), (k, links, 3, 3) as `touch.LinkPoints` wants them, (k, 4 links, 3)."""
+    """Return poses (k, links, 3), (k, links, 3, 3) as `touch.LinkPoints` has them, (k, 4 links, 3)."""
     poses = torch.cat([rotations.transpose(2, 3), positions[:, :, None]], 2)
     return poses.reshape(len(poses), -1, 3)
 
@@ -669,7 +805,9 @@ def _squared_distance(kind: Kind, half_size: Tensor, points: Tensor) -> Tensor:
         return (points.norm(dim=2) - half_size[:, :1]).clamp_min(0.0).square()
     half = half_size
     if kind == "cylinder":
-        points = torch.stack([torch.hypot(points[..., 0], points[..., 1]), points[..., 2]], -1)
+        points = torch.stack(
+            [torch.hypot(points[..., 0], points[..., 1]), points[..., 2]], -1
+        )
         half = half_size[:, 1:]
     return (points.abs() - half[:, None]).clamp_min(0.0).square().sum(2)
 
@@ -693,24 +831,43 @@ class _Senses:
         self.draws = draws(n, simulator.tensor)
         sizes = [size for _, size in groups]
         spread = lambda values: np.repeat(np.array(values), sizes, axis=0)  # noqa: E731
-        self.n_taxels = spread([0 if c.touch == "absent" else len(e.taxels) for e, c in zip(members, [c for c, _ in groups], strict=True)])  # fmt: skip
+        configs = [config for config, _ in groups]
+        self.n_taxels = spread(
+            [
+                0 if config.touch == "absent" else len(member.taxels)
+                for member, config in zip(members, configs, strict=True)
+            ]
+        )
         self._width = int(self.n_taxels.max())
         owner = spread([[e is m for m in members].index(True) for e in members])
-        is_on = spread([c.touch == "on" for c, _ in groups])
+        is_on = spread([config.touch == "on" for config in configs])
         self._touches = [
-            _Touch(members[number], np.flatnonzero(is_on & (owner == number)), simulator)
+            _Touch(
+                members[number], np.flatnonzero(is_on & (owner == number)), simulator
+            )
             for number in sorted(set(owner[is_on].tolist()))
         ]
         self._layouts = [
-            (torch.as_tensor(np.flatnonzero(self.n_taxels == m), device=simulator.device), int(m))
+            (
+                torch.as_tensor(
+                    np.flatnonzero(self.n_taxels == m), device=simulator.device
+                ),
+                int(m),
+            )
             for m in sorted(set(self.n_taxels.tolist()))
         ]
         self.wants_contacts = any(rule.reads_forces for rule in self._touches)
         tensor = simulator.tensor
         joints = env._observer._joints
-        self._white, self._held = (tensor(joints.white), tensor(joints.held)) if joints else (None, None)
-        self._error = self._noise = torch.zeros((n, len(env.hand.joints)), dtype=simulator.dtype, device=simulator.device)
-        self._seen_error = torch.zeros((n, 6), dtype=simulator.dtype, device=simulator.device)
+        self._white, self._held = (
+            (tensor(joints.white), tensor(joints.held)) if joints else (None, None)
+        )
+        self._error = self._noise = torch.zeros(
+            (n, len(env.hand.joints)), dtype=simulator.dtype, device=simulator.device
+        )
+        self._seen_error = torch.zeros(
+            (n, 6), dtype=simulator.dtype, device=simulator.device
+        )
         self._sight_scale = tensor(np.repeat(config.sight_noise or SIGHT_NOISE, 3))
         self._start: list[Tensor] = []
         self._faults(groups, spread)
@@ -723,34 +880,53 @@ class _Senses:
     def _faults(self, groups: Any, spread: Any) -> None:
         """Prepare the stages of all worlds' readings."""
         tensor, configs = self._simulator.tensor, [config for config, _ in groups]
-        self._false = [tensor(spread([getattr(c, f"taxel_false_{way}") for c in configs]))[:, None] for way in ("on", "off")]  # fmt: skip
-        self._flips = spread([bool(c.taxel_false_on or c.taxel_false_off) for c in configs])
+        on = [config.taxel_false_on for config in configs]
+        off = [config.taxel_false_off for config in configs]
+        self._false = [tensor(spread(chances))[:, None] for chances in (on, off)]
+        self._flips = spread(
+            [bool(c.taxel_false_on or c.taxel_false_off) for c in configs]
+        )
         self._delays = spread([c.taxel_delay for c in configs])
         dead, stuck = (np.zeros((len(configs), self._width), bool) for _ in range(2))
         ends = np.cumsum([0, *(size for _, size in groups)])
         for row, config in enumerate(configs):
             m = int(self.n_taxels[ends[row]])
-            broken = observations.Broken(m, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
+            broken = observations.Broken(
+                m, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0
+            )
             dead[row, broken.dead], stuck[row, broken.stuck] = True, True
-        self._dead, self._stuck = (torch.as_tensor(spread(part), device=self._simulator.device) for part in (dead, stuck))
+        self._dead, self._stuck = (
+            torch.as_tensor(spread(part), device=self._simulator.device)
+            for part in (dead, stuck)
+        )
 
-    def observe(self, state: BatchState, targets: Array, which: Array, first: Array) -> Tensor:
+    def observe(
+        self, state: BatchState, targets: Array, which: Array, first: Array
+    ) -> Tensor:
         """Return observations (n, widest) float32; only `which` worlds remember that they were made."""
         device = self._simulator.device
         now, begins = (torch.as_tensor(mask, device=device) for mask in (which, first))
-        sensed: Any = SimpleNamespace(**state._asdict(), shape=SimpleNamespace(kind=self._simulator.kind))
+        sensed: Any = SimpleNamespace(
+            **state._asdict(), shape=SimpleNamespace(kind=self._simulator.kind)
+        )
         self._see(sensed, which, first, now, begins)
         if self._white is not None:
             self._feel_joints(sensed, which, first, now, begins)
-        entries = torch.cat([self._term(term, sensed, targets) for term in self._terms], 1)
+        entries = torch.cat(
+            [self._term(term, sensed, targets) for term in self._terms], 1
+        )
         taxels = self._readings(state, which, now, begins)
         history = self._config.history
         self._entries = _remember(self._entries, entries, history, now, begins)
         self._taxels = _remember(self._taxels, taxels, history, now, begins)
         n, obs = self._simulator.n, [self._entries.reshape(self._simulator.n, -1)]
-        padded = torch.zeros((n, history * self._width), dtype=entries.dtype, device=device)
+        padded = torch.zeros(
+            (n, history * self._width), dtype=entries.dtype, device=device
+        )
         for worlds, m in self._layouts:
-            padded[worlds, : history * m] = self._taxels[worlds][:, :, :m].reshape(len(worlds), -1)
+            padded[worlds, : history * m] = self._taxels[worlds][:, :, :m].reshape(
+                len(worlds), -1
+            )
         return torch.cat([*obs, padded], 1).float()
 
     def _term(self, term: str, sensed: Any, targets: Array) -> Tensor:
@@ -761,7 +937,9 @@ class _Senses:
             return self._simulator.tensor(value).expand(self._simulator.n, -1)
         return value
 
-    def _feel_joints(self, sensed: Any, which: Array, first: Array, now: Tensor, begins: Tensor) -> None:
+    def _feel_joints(
+        self, sensed: Any, which: Array, first: Array, now: Tensor, begins: Tensor
+    ) -> None:
         """Add `observations.JointErrors`."""
         widths = np.full(self._simulator.n, self._error.shape[1])
         if first.any():
@@ -772,10 +950,14 @@ class _Senses:
         self._noise = torch.where(now[:, None], noise, self._noise)
         error = self._error + noise
         sensed.joint_positions = sensed.joint_positions + error
-        sensed.joint_velocities = sensed.joint_velocities + (noise - before) / self._config.control_dt
+        sensed.joint_velocities = (
+            sensed.joint_velocities + (noise - before) / self._config.control_dt
+        )
         sensed.palm = sensed.palm + error[:, ARM]
 
-    def _see(self, sensed: Any, which: Array, first: Array, now: Tensor, begins: Tensor) -> None:
+    def _see(
+        self, sensed: Any, which: Array, first: Array, now: Tensor, begins: Tensor
+    ) -> None:
         """See as `observations.Sight` does."""
         mode = self._config.object_seen
         if mode == "exact":
@@ -785,7 +967,10 @@ class _Senses:
             place, turn = torch.zeros_like(place), torch.zeros_like(turn)
         elif mode == "start":
             before = self._start or [place, turn]
-            self._start = [torch.where(begins[:, None], new, old) for new, old in zip((place, turn), before, strict=True)]  # fmt: skip
+            self._start = [
+                torch.where(begins[:, None], new, old)
+                for new, old in zip((place, turn), before, strict=True)
+            ]
             place, turn = self._start
         else:
             widths = np.full(self._simulator.n, 6)
@@ -798,26 +983,42 @@ class _Senses:
             place, turn = place + error[:, :3], _turned(error[:, 3:], turn)
         sensed.object_position, sensed.object_orientation = place, turn
 
-    def _readings(self, state: BatchState, which: Array, now: Tensor, begins: Tensor) -> Tensor:
+    def _readings(
+        self, state: BatchState, which: Array, now: Tensor, begins: Tensor
+    ) -> Tensor:
         """Return what comes out of the taxels of all worlds, (n, most taxels)."""
         felt = torch.zeros_like(self.felt)
         for rule in self._touches:
             felt[rule.which, : rule.n] = rule.read(state, now, begins).to(felt.dtype)
         self.felt = felt
         if self._flips.any():
-            draws = self.draws("taxels", which & self._flips, self.n_taxels, is_normal=False)
+            draws = self.draws(
+                "taxels", which & self._flips, self.n_taxels, is_normal=False
+            )
             on, off = self._false
-            flipped = torch.where(felt > 0, torch.where(draws < off, 0.0, felt), (draws < on).to(felt.dtype))
-            felt = torch.where(torch.as_tensor(self._flips, device=felt.device)[:, None], flipped, felt)
-        felt = torch.where(self._dead, 0.0, torch.where(self._stuck, 1.0, felt)).to(felt.dtype)
+            flipped = torch.where(
+                felt > 0,
+                torch.where(draws < off, 0.0, felt),
+                (draws < on).to(felt.dtype),
+            )
+            felt = torch.where(
+                torch.as_tensor(self._flips, device=felt.device)[:, None], flipped, felt
+            )
+        felt = torch.where(self._dead, 0.0, torch.where(self._stuck, 1.0, felt)).to(
+            felt.dtype
+        )
         if self._delays.any():
-            self._late = _remember(self._late, felt, int(self._delays.max()) + 1, now, begins)
+            self._late = _remember(
+                self._late, felt, int(self._delays.max()) + 1, now, begins
+            )
             rows = torch.arange(len(felt), device=felt.device)
             felt = self._late[rows, torch.as_tensor(self._delays, device=felt.device)]
         return felt
 
 
-def _remember(past: Tensor, value: Tensor, n: int, now: Tensor, first: Tensor) -> Tensor:
+def _remember(
+    past: Tensor, value: Tensor, n: int, now: Tensor, first: Tensor
+) -> Tensor:
     """Return the last n values (worlds, n, m), the newest first, as `observations.Past` has them."""
     same = value[:, None].expand(-1, n, -1)
     if not len(past):

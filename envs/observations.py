@@ -129,7 +129,9 @@ def _first_joints(hand: Hand, state: State) -> Array:
 
 def _upper_quaternion(hand: Hand, state: State) -> Array:
     """Return, of the two quaternions of the object's orientation, that with w from 0 up."""
-    return (1.0 - 2.0 * (state.object_orientation[..., :1] < 0)) * state.object_orientation
+    return (
+        1.0 - 2.0 * (state.object_orientation[..., :1] < 0)
+    ) * state.object_orientation
 
 
 TERMS = {

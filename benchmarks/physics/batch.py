@@ -1,8 +1,9 @@
 """How fast is a batch of worlds on a GPU, and is it the same physics?
 
-Control steps a second of `handover_anywhere` with three hands, and one CPU core's; a hand that closes at
-the first touch, in the batch and in MuJoCo from the same starts, with the hold test; taxels in states of
-the batch, read by both; physics settings against MuJoCo at 1 ms; worlds that diverged or had no room.
+Control steps a second of `handover_anywhere` with three hands, and one CPU core's; a hand that closes
+at the first touch, in the batch and in MuJoCo from the same starts, with the hold test; taxels in
+states of the batch, read by both; physics settings against MuJoCo at 1 ms; worlds that diverged or had
+no room.
 A line of JSON for each measurement, written as it is made; what is in the file already is not measured
 again:
 
@@ -17,7 +18,6 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -105,14 +105,13 @@ def alone(hand: str, layout: str, seeds: list[int]) -> list[tuple[bool, bool]]:
 
 
 def together(hand: str, device: str, n: int, compared: int) -> dict[str, Any]:
-    """Play the same in a batch of all layouts, and compare taxels in some of its states with MuJoCo's."""
+    """Play the same in a batch of all layouts, and read taxels in some of its states in MuJoCo too."""
     configs = [config(hand, layout) for layout in layouts(hand).values()]
     env = BatchEnv(hand, [(scene, n) for scene in configs], device, AutoresetMode.DISABLED)
     plain = [GraspEnv(hand, scene) for scene in configs]
     env.reset(seed=[SEED + i for i in range(n)] * len(configs))
-    size = env.num_envs
-    felt, over, held, taxels = (np.zeros(size, bool) for _ in range(3)), None, None, np.zeros((len(configs), 3), int)  # fmt: skip
-    fired, over, held = felt
+    fired, over, held = (np.zeros(env.num_envs, bool) for _ in range(3))
+    taxels = np.zeros((len(configs), 3), int)
     broken, steps, start = 0, 0, time.perf_counter()
     while not over.all():
         playing = ~over & ~env._holding
@@ -127,7 +126,8 @@ def together(hand: str, device: str, n: int, compared: int) -> dict[str, Any]:
     seconds, rows = time.perf_counter() - start, {}
     for number, name in enumerate(layouts(hand)):
         part, (same, on, all_) = slice(number * n, (number + 1) * n), taxels[number].tolist()
-        rows[name] = {"held": held[part].tolist(), "felt": fired[part].tolist(), "taxels": all_, "taxels_alike": same, "taxels_on": on}  # fmt: skip
+        rows[name] = {"held": held[part].tolist(), "felt": fired[part].tolist()}
+        rows[name] |= {"taxels": all_, "taxels_alike": same, "taxels_on": on}
     row = {"starts": n, "seconds": seconds, "diverged": env.n_diverged, "no_room": env.n_overflowed}
     env.close()
     return row | {"layouts": rows}
@@ -137,7 +137,8 @@ def compare_taxels(env: BatchEnv, plain: list[GraspEnv], n: int, compared: int) 
     """Return taxels that read alike, that are on, and all, (n_groups, 3), in states put into MuJoCo."""
     state, counts = env.simulator.state(), []
     felt = env.taxel_readings().cpu().numpy() > 0
-    parts = [part.cpu().numpy().astype(float) for part in (state.joint_positions, state.object_position, state.object_orientation)]  # fmt: skip
+    tensors = state.joint_positions, state.object_position, state.object_orientation
+    parts = [part.cpu().numpy().astype(float) for part in tensors]
     for number, single in enumerate(plain):
         count = np.zeros(3, int)
         for i in range(number * n, number * n + min(n, compared)):
@@ -156,7 +157,7 @@ def _ends(env: Any, states: Callable[[], Any]) -> Any:
     for step in range(45):
         env.step(np.full(env.action_space.shape, -0.1 if step < 38 else 1.0))
         state = states()
-        places.append(np.asarray((state.object_position - state.palm)).reshape(-1, 3))
+        places.append(np.asarray(state.object_position - state.palm).reshape(-1, 3))
     return np.array(places)
 
 
@@ -175,13 +176,19 @@ def reference(hand: str, timestep: float, seeds: list[int]) -> Any:
 
 def setting(hand: str, timestep: float) -> GraspConfig:
     """Return the scene with another timestep, of which nothing is drawn but the start."""
-    return config(hand, timestep=timestep, control_dt=CONTROL_DT, joint_noise=0.0, joint_noise_held=0.0, slide_noise=0.0, slide_noise_held=0.0, object_size=(0.045,))  # fmt: skip
+    noise = ("joint_noise", "joint_noise_held", "slide_noise", "slide_noise_held")
+    exact: dict[str, Any] = dict.fromkeys(noise, 0.0)
+    return config(hand, timestep=timestep, control_dt=CONTROL_DT, object_size=(0.045,), **exact)
 
 
-def physics(hand: str, device: str, timestep: float, iterations: int, seeds: list[int], right: Any) -> dict[str, Any]:
+def physics(
+    hand: str, device: str, timestep: float, iterations: int, seeds: list[int], right: Any
+) -> dict[str, Any]:
     """Measure a setting's speed, and how far its objects are from the reference's."""
     options = {} if device == "loop" else {"iterations": iterations}
-    env = BatchEnv(hand, [(setting(hand, timestep), len(seeds))], device, AutoresetMode.DISABLED, **options)
+    env = BatchEnv(
+        hand, [(setting(hand, timestep), len(seeds))], device, AutoresetMode.DISABLED, **options
+    )
     env.reset(seed=seeds)
     env._task._sets_off[:], env.max_episode_steps = 20, 10**6
     env.task.settles, env.task.fallen = 10**6, 10.0  # type: ignore[attr-defined]
@@ -191,7 +198,10 @@ def physics(hand: str, device: str, timestep: float, iterations: int, seeds: lis
     far = np.linalg.norm(places - right, axis=2)[28:]  # from touch on
     row = {"worlds": len(seeds), "step_ms": 1e3 * seconds, "median_mm": 1e3 * float(np.median(far))}
     kept, right_kept = (np.linalg.norm(p[-1], axis=1) < 0.12 for p in (places, right))
-    row |= {"p90_mm": 1e3 * float(np.quantile(far, 0.9)), "same_outcome": float((kept == right_kept).mean())}
+    row |= {
+        "p90_mm": 1e3 * float(np.quantile(far, 0.9)),
+        "same_outcome": float((kept == right_kept).mean()),
+    }
     env.close()
     return row | {"diverged": env.n_diverged, "no_room": env.n_overflowed}
 
@@ -219,7 +229,9 @@ class Rows:
         print(*key, json.dumps(shown), flush=True)
 
 
-def score(hand: str, device: str, n: int, compared: int, plain: dict[str, list[Future[Any]]]) -> dict[str, Any]:
+def score(
+    hand: str, device: str, n: int, compared: int, plain: dict[str, list[Future[Any]]]
+) -> dict[str, Any]:
     """Return success and touch in the batch and in MuJoCo, and the paired difference with its error."""
     row = together(hand, device, n, compared)
     for name, futures in plain.items():
@@ -230,9 +242,16 @@ def score(hand: str, device: str, n: int, compared: int, plain: dict[str, list[F
         for column, what in enumerate(("success", "felt")):
             gap = difference[:, column]
             part |= {what: mine[:, column].mean(), f"{what}_mujoco": results[:, column].mean()}
-            part |= {f"{what}_difference": gap.mean(), f"{what}_ci95": 1.96 * gap.std() / len(gap) ** 0.5}
+            part |= {
+                f"{what}_difference": gap.mean(),
+                f"{what}_ci95": 1.96 * gap.std() / len(gap) ** 0.5,
+            }
         part["same_outcome"] = float((difference[:, 0] == 0).mean())
-    flat = {f"{name}: {what}": round(value, 4) for name, part in row["layouts"].items() for what, value in part.items()}
+    flat = {
+        f"{name}: {what}": round(value, 4)
+        for name, part in row["layouts"].items()
+        for what, value in part.items()
+    }
     return {**row, **flat}
 
 
@@ -253,14 +272,10 @@ def main() -> None:
     for hand in hands:
         rows(["one CPU core", hand], partial(cpu_speed, hand, 0.5 if small else 3.0))
     name = torch.cuda.get_device_name() if device == "cuda" else device
-    fork = multiprocessing.get_context("spawn")
     seeds = [SEED + i for i in range(n)]
     cut = 2 if small else 125
     few = seeds[: 2 if small else 256]
-    with ProcessPoolExecutor(os.cpu_count(), fork) as pool:
-        for hand in hands:
-            size = options.worlds or WORLDS[hand]
-            rows(["speed", hand, name], partial(speed, hand, device, size, 3 if small else 40))
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
         plain = {
             hand: {
                 layout: [pool.submit(alone, hand, path, seeds[i : i + cut]) for i in range(0, n, cut)]
@@ -269,16 +284,28 @@ def main() -> None:
             for hand in hands
             if json.dumps(["success", hand, name]) not in rows._keys
         }
-        exact = [pool.submit(reference, hands[0], 0.001, few[i : i + 16]) for i in range(0, len(few), 16)]
-        coarse = [pool.submit(reference, hands[0], 0.004, few[i : i + 16]) for i in range(0, len(few), 16)]
+        exact = [
+            pool.submit(reference, hands[0], 0.001, few[i : i + 16]) for i in range(0, len(few), 16)
+        ]
+        coarse = [
+            pool.submit(reference, hands[0], 0.004, few[i : i + 16]) for i in range(0, len(few), 16)
+        ]
+        for hand in hands:  # kernels compile for minutes, while the pool plays
+            size = options.worlds or WORLDS[hand]
+            rows(["speed", hand, name], partial(speed, hand, device, size, 3 if small else 40))
         for hand in plain:
-            rows(["success", hand, name], partial(score, hand, device, n, 2 if small else 100, plain[hand]))
+            rows(
+                ["success", hand, name],
+                partial(score, hand, device, n, 2 if small else 100, plain[hand]),
+            )
         right = np.concatenate([future.result() for future in exact], 1)
         usual = np.concatenate([future.result() for future in coarse], 1)
         far = 1e3 * np.linalg.norm(usual - right, axis=2)[28:]
-        rows(["settings", hands[0], "MuJoCo", 4, 100], lambda: {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))})  # fmt: skip
+        errors = {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))}
+        rows(["settings", hands[0], "MuJoCo", 4, 100], lambda: errors)
         for ms, iterations in SETTINGS[: 1 if small else None]:
-            rows(["settings", hands[0], name, ms, iterations], partial(physics, hands[0], device, ms / 1000, iterations, few, right))  # fmt: skip
+            measure = partial(physics, hands[0], device, ms / 1000, iterations, few, right)
+            rows(["settings", hands[0], name, ms, iterations], measure)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """The interface of many simulated scenes side by side, and its plain form: MuJoCo in a loop.
 
 All worlds have the same hand and the same kind of object, whose measures differ by world. What comes
-in by world is NumPy's, what is read is PyTorch's, on the device. The loop shows what a batch means; it is
-exact, and no faster than its worlds one after the other.
+in by world is NumPy's, what is read is PyTorch's, on the device. The loop shows what a batch means; it
+is exact, and no faster than its worlds one after the other.
 """
 
 from __future__ import annotations

@@ -50,31 +50,56 @@ class WarpSimulator(BatchSimulator):
         warp.config.quiet = True
         self.scene, self.n, self.kind = scene, n, scene.shape.kind
         self.device, self.dtype = torch.device(device), torch.float32
-        self._device = warp.get_device("cpu" if self.device.type == "cpu" else str(self.device))
+        self._device = warp.get_device(
+            "cpu" if self.device.type == "cpu" else str(self.device)
+        )
         self.plain = MujocoSimulator(scene)
         self.links = self.plain.state().links
         host, data = self.plain.model, self.plain.data
-        host.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # it has neither
+        host.opt.disableflags &= ~int(
+            mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        )  # it has neither
         host.opt.disableactuator &= ~(1 << GIVERS_GROUP)
         host.opt.iterations = iterations or host.opt.iterations
         with warp.ScopedDevice(self._device):
             self._model = mujoco_warp.put_model(host)
-            self._data = mujoco_warp.put_data(host, data, nworld=n, nconmax=nconmax, njmax=njmax)
+            self._data = mujoco_warp.put_data(
+                host, data, nworld=n, nconmax=nconmax, njmax=njmax
+            )
             self._model.opt.warn_overflow = 0
             self._own = {name: self._by_world(self._model, name) for name in BY_WORLD}
             self._creep = self._by_world(self._model.opt, "impratio_invsqrt")
-            names = "qpos qvel act ctrl xfrc_applied xpos xquat xmat qacc_warmstart overflow".split()
+            names = [
+                "qpos",
+                "qvel",
+                "act",
+                "ctrl",
+                "xfrc_applied",
+                "xpos",
+                "xquat",
+                "xmat",
+                "qacc_warmstart",
+                "overflow",
+            ]
             for name in names:
                 setattr(self, f"_{name}", warp.to_torch(getattr(self._data, name)))
             self._graphs: dict[str, Any] = {}
             self._run("step", mujoco_warp.step)
             self._run("kinematics", mujoco_warp.kinematics)
         self._springs = self._indices(self.plain._giver)
-        self._stiff = {name: self._own[name][0, self._springs].clone() for name in ("actuator_gainprm", "actuator_biasprm")}  # fmt: skip
+        self._stiff = {
+            name: self._own[name][0, self._springs].clone()
+            for name in ("actuator_gainprm", "actuator_biasprm")
+        }
         self._spring_act = self._indices(host.actuator_actadr[self.plain._giver])
         self._points = self.tensor(scene.points[1])
-        self._on_links = self._indices([self.links.index(link) for link in scene.points[0]])
-        self._qpos_of, self._qvel_of = self._indices(self.plain._qpos), self._indices(self.plain._qvel)
+        self._on_links = self._indices(
+            [self.links.index(link) for link in scene.points[0]]
+        )
+        self._qpos_of, self._qvel_of = (
+            self._indices(self.plain._qpos),
+            self._indices(self.plain._qvel),
+        )
         self._half_size = self.tensor(np.tile(scene.shape.half_size, (n, 1)))
         self._weight = self.tensor(np.full(n, scene.mass * -host.opt.gravity[2]))
         self._kept: list[tuple[Tensor, BatchContacts]] = []
@@ -103,9 +128,15 @@ class WarpSimulator(BatchSimulator):
                 function(self._model, self._data)
             self._graphs[name] = capture.graph
 
-    def change_object(self, which: Array, half_size: Array, mass: Array, friction: Array) -> None:
+    def change_object(
+        self, which: Array, half_size: Array, mass: Array, friction: Array
+    ) -> None:
         """Write what `MujocoSimulator.change_object` compiles, by the formulas of the solids."""
-        body, geom, rows = self.plain._object_body, self.plain._object_geom, self._indices(which)
+        body, geom, rows = (
+            self.plain._object_body,
+            self.plain._object_geom,
+            self._indices(which),
+        )
         x, y, z = half_size.T
         if self.kind == "sphere":
             size, bound = np.stack([x, 0 * x, 0 * x], 1), x
@@ -132,7 +163,9 @@ class WarpSimulator(BatchSimulator):
         self._half_size[rows] = self.tensor(half_size)
         self._weight[rows] = self.tensor(mass * -self.plain.model.opt.gravity[2])
 
-    def reset(self, which: Array, joints: Array, position: Array, yaw: Array, targets: Array) -> None:
+    def reset(
+        self, which: Array, joints: Array, position: Array, yaw: Array, targets: Array
+    ) -> None:
         """Reset worlds as `MujocoSimulator` does."""
         plain, rows = self.plain, self._indices(which)
         model, n = plain.model, len(which)
@@ -143,7 +176,9 @@ class WarpSimulator(BatchSimulator):
         qpos[:, plain._object_qpos] = np.concatenate([position, np.stack(turn, 1)], 1)
         ctrl[:, plain._ctrl] = joints[:, plain._actuated]
         has_act = model.actuator_actnum[plain._ctrl].astype(bool)
-        act[:, model.actuator_actadr[plain._ctrl[has_act]]] = ctrl[:, plain._ctrl[has_act]]
+        act[:, model.actuator_actadr[plain._ctrl[has_act]]] = ctrl[
+            :, plain._ctrl[has_act]
+        ]
         for mine, value in ((self._qpos, qpos), (self._act, act), (self._ctrl, ctrl)):
             mine[rows] = self.tensor(value)
         self._qvel[rows] = self._qacc_warmstart[rows] = 0.0
@@ -192,12 +227,16 @@ class WarpSimulator(BatchSimulator):
         position = self._xpos[rows, self.plain._object_body]
         for name, value in self._stiff.items():
             self._own[name][at, springs] = value
-        ends = torch.stack([torch.minimum(position, goals), torch.maximum(position, goals)], -1)
+        ends = torch.stack(
+            [torch.minimum(position, goals), torch.maximum(position, goals)], -1
+        )
         self._own["actuator_actrange"][at, springs] = ends
         self._act[at, self._spring_act] = position
         way = goals - position
         giver: Any = self.scene.giver
-        self._ctrl[at, springs] = giver.speed * way / way.norm(dim=1, keepdim=True).clamp_min(1e-9)
+        self._ctrl[at, springs] = (
+            giver.speed * way / way.norm(dim=1, keepdim=True).clamp_min(1e-9)
+        )
         self._xfrc_applied[rows, self.plain._object_body, 2] = self._weight[rows]
 
     def let_go(self, which: Array) -> None:
@@ -243,13 +282,26 @@ class WarpSimulator(BatchSimulator):
 
     def _contacts_now(self) -> BatchContacts:
         """Sort the contacts of all worlds with the object that carry force into rows of worlds."""
-        found, n = self._data.contact, min(int(self._data.nacon.numpy()[0]), self._data.naconmax)
+        found, n = (
+            self._data.contact,
+            min(int(self._data.nacon.numpy()[0]), self._data.naconmax),
+        )
         pick = lambda name: warp.to_torch(getattr(found, name))[:n]  # noqa: E731
-        world, geoms, address = (pick(name).long() for name in ("worldid", "geom", "efc_address"))
+        world, geoms, address = (
+            pick(name).long() for name in ("worldid", "geom", "efc_address")
+        )
         force = warp.to_torch(self._data.efc.force)[world, address[:, 0].clamp_min(0)]
-        held, body_of = self.plain._object_geom, self._indices(self.plain.model.geom_bodyid)
+        held, body_of = (
+            self.plain._object_geom,
+            self._indices(self.plain.model.geom_bodyid),
+        )
         other = torch.where(geoms[:, 1] == held, geoms[:, 0], geoms[:, 1]).clamp_min(0)
-        is_ours = (geoms == held).any(1) & (body_of[other] > 0) & (address[:, 0] >= 0) & (force > 0)
+        is_ours = (
+            (geoms == held).any(1)
+            & (body_of[other] > 0)
+            & (address[:, 0] >= 0)
+            & (force > 0)
+        )
         rows = is_ours.nonzero()[:, 0]
         rows = rows[world[rows].argsort(stable=True)]
         world = world[rows]
@@ -257,7 +309,11 @@ class WarpSimulator(BatchSimulator):
         place = torch.arange(len(rows), device=self.device) - first[world]
         fits = place < MAX_CONTACTS
         rows, world, place = rows[fits], world[fits], place[fits]
-        result = BatchContacts(*(torch.zeros((self.n, MAX_CONTACTS, *more), device=self.device) for more in ((3,), (), (3,))))  # fmt: skip
+        rooms = (
+            torch.zeros((self.n, MAX_CONTACTS, *more), device=self.device)
+            for more in ((3,), (), (3,))
+        )
+        result = BatchContacts(*rooms)
         sign = torch.where(geoms[rows, 1] == held, 1.0, -1.0)
         result.points[world, place] = pick("pos")[rows]
         result.forces[world, place] = force[rows]

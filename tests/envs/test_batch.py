@@ -14,7 +14,14 @@ from tactilerl.envs.batch import BatchEnv, DeviceDraws
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
 NOISY = dict(object_seen="noisy", joint_noise=0.02, joint_noise_held=0.05, slide_noise=0.001)
-FAULTS = dict(taxel_false_on=0.02, taxel_false_off=0.1, taxel_dead=0.1, taxel_stuck=0.05, taxel_delay=2, hand_seed=3)
+FAULTS = dict(
+    taxel_false_on=0.02,
+    taxel_false_off=0.1,
+    taxel_dead=0.1,
+    taxel_stuck=0.05,
+    taxel_delay=2,
+    hand_seed=3,
+)
 
 
 def config(hand: str, scene: str = "handover_anywhere", **choices: Any) -> GraspConfig:
@@ -43,7 +50,9 @@ def play_batch(env: BatchEnv, seeds: list[int], actions: Any) -> list[list[Any]]
         obs, reward, terminated, truncated, info = env.step(np.array(acts))
         ends = terminated | truncated
         for i in np.flatnonzero(~over & ~info["holding"]):
-            episodes[i].append((row(obs, i), reward[i], terminated[i], truncated[i], info["is_success"][i]))
+            episodes[i].append(
+                (row(obs, i), reward[i], terminated[i], truncated[i], info["is_success"][i])
+            )
         over |= ends
     return episodes
 
@@ -62,12 +71,20 @@ def act(hand_closes_at: int, size: int) -> Any:
     return actions
 
 
-def assert_alike(hand: str, groups: list[GraspConfig], seeds: list[int], actions: Any, least: float = 0.0) -> list[Any]:
+def assert_alike(
+    hand: str, groups: list[GraspConfig], seeds: list[int], actions: Any, least: float = 0.0
+) -> list[Any]:
     """Play the same episodes in a batch, two a group, and one by one."""
     batch = BatchEnv(hand, [(group, 2) for group in groups], "loop", AutoresetMode.DISABLED, numpy=True)
     together = play_batch(batch, seeds, actions)
     returns = []
-    for group, width, *pairs in zip([g for g in groups for _ in "ab"], [w for w in batch.widths for _ in "ab"], seeds, together, strict=True):
+    for group, width, *pairs in zip(
+        [g for g in groups for _ in "ab"],
+        [w for w in batch.widths for _ in "ab"],
+        seeds,
+        together,
+        strict=True,
+    ):
         seed, played = pairs
         env = GraspEnv(hand, group)
         alone = play(env, seed, actions)
@@ -101,7 +118,9 @@ def test_handover_with_noise_in_groups_of_layouts_touch_and_faults(hand: str) ->
 def grasp(seed: int, step: int) -> Any:
     """Return actions of the MPL hand that lower it, close it and lift what it has."""
     down = 2 + seed % 3
-    return np.array([0, 0, -1.0 if step <= down else float(step > down + 15), *[float(step > down)] * 4])
+    return np.array(
+        [0, 0, -1.0 if step <= down else float(step > down + 15), *[float(step > down)] * 4]
+    )
 
 
 def swing(seed: int, step: int) -> Any:
@@ -156,10 +175,17 @@ def test_autoreset_goes_on_as_grasp_env_does(mode: AutoresetMode) -> None:
 
 def test_device_draws_are_a_worlds_own_and_even() -> None:
     def drawn(seeds: list[int], n: int) -> Any:
-        draws = DeviceDraws(len(seeds), lambda values: torch.as_tensor(np.asarray(values), dtype=torch.float64))
+        draws = DeviceDraws(
+            len(seeds), lambda values: torch.as_tensor(np.asarray(values), dtype=torch.float64)
+        )
         for i, seed in enumerate(seeds):
             draws.begin(i, np.random.default_rng(seed))
-        return np.stack([draws("joints", np.ones(len(seeds), bool), np.full(len(seeds), 25)).numpy() for _ in range(n)])
+        return np.stack(
+            [
+                draws("joints", np.ones(len(seeds), bool), np.full(len(seeds), 25)).numpy()
+                for _ in range(n)
+            ]
+        )
 
     values = drawn(list(range(40)), 50)
     assert abs(values.mean()) < 0.02
@@ -212,7 +238,9 @@ def test_by_name() -> None:
     assert obs["observation"].shape == (5, max(batch.widths))
     assert obs["observation"].dtype == torch.float32
     batch.close()
-    found: Any = gym.make_vec("tactilerl/HandoverBatch-v0", num_envs=2, vectorization_mode="vector_entry_point", device="loop")
+    found: Any = gym.make_vec(
+        "tactilerl/HandoverBatch-v0", num_envs=2, vectorization_mode="vector_entry_point", device="loop"
+    )
     assert isinstance(found, BatchEnv)
     found.reset(seed=0)
     found.step(found.action_space.sample())
