@@ -84,6 +84,7 @@ class WarpSimulator(BatchSimulator):
             for name in names:
                 setattr(self, f"_{name}", warp.to_torch(getattr(self._data, name)))
             self._graphs: dict[str, Any] = {}
+            self._streams: dict[int, Any] = {}
             self._run("step", mujoco_warp.step)
             self._run("kinematics", mujoco_warp.kinematics)
         self._springs = self._indices(self.plain._giver)
@@ -120,13 +121,22 @@ class WarpSimulator(BatchSimulator):
     def _run(self, name: str, function: Any) -> None:
         """Run a function of model and data: on a GPU captured as a graph, once it has been compiled."""
         if name in self._graphs:
-            warp.capture_launch(self._graphs[name])
+            warp.capture_launch(self._graphs[name], self._stream())
             return
         function(self._model, self._data)
         if self._device.is_cuda:
             with warp.ScopedCapture(self._device) as capture:
                 function(self._model, self._data)
             self._graphs[name] = capture.graph
+
+    def _stream(self) -> Any:
+        """Return the stream that PyTorch uses in this thread; None for the usual one."""
+        current = torch.cuda.current_stream(self.device)
+        if current.cuda_stream == 0:
+            return None
+        if current.cuda_stream not in self._streams:
+            self._streams[current.cuda_stream] = warp.stream_from_torch(current)
+        return self._streams[current.cuda_stream]
 
     def change_object(
         self, which: Array, half_size: Array, mass: Array, friction: Array
@@ -284,7 +294,7 @@ class WarpSimulator(BatchSimulator):
         """Sort the contacts of all worlds with the object that carry force into rows of worlds."""
         found, n = (
             self._data.contact,
-            min(int(self._data.nacon.numpy()[0]), self._data.naconmax),
+            min(int(warp.to_torch(self._data.nacon)[0]), self._data.naconmax),
         )
         pick = lambda name: warp.to_torch(getattr(found, name))[:n]  # noqa: E731
         world, geoms, address = (

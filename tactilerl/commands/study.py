@@ -33,13 +33,13 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
-    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or numbers of
-    the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or
+    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or numbers
+    of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or
     htcondor (extra: cluster).
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained side by side; default: one per core. On a GPU: batches, default 3. With a batch system:
-    jobs to submit."""
+    """Runs trained side by side; default: one per core. On a GPU: batches; default: 6. With a batch
+    system: jobs to submit."""
     walltime: str | None = None
     """Time limit of a job of a batch system, as it wants it; default: dask-jobqueue's."""
     memory: str | None = None
@@ -92,7 +92,7 @@ class Run:
                     files.path.absolute(), [job.run for job in todo]
                 )
                 batch.show(batches)
-                batch.run_all(batches, pool, show)
+                batch.run_all(batches, pool, self.jobs, show)
             else:
                 jobs.run_all(todo, pool, show)
         n_failed = _print_failures(map(files.record, runs))
@@ -122,14 +122,16 @@ def _print_failures(all_records: Iterable[Record]) -> int:
 
 @dataclass(frozen=True)
 class Train:
-    """Train one run of a study, or several as one batch, or continue them, as `study run` does."""
+    """Train one run of a study, or several in batches, or continue them, as `study run` does."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the study."""
     run: tyro.conf.Positional[tuple[str, ...]]
-    """Name of the run, or names of all runs of a batch."""
+    """Name of the run, or names of all runs of batches."""
     on: Literal["local", "gpu"] = "local"
-    """gpu: train them as one batch (extra: gpu)."""
+    """gpu: train them as batches (extra: gpu)."""
+    jobs: Annotated[int, "[1, inf)"] = executors.SIDE_BY_SIDE
+    """Batches that are trained side by side, with --on gpu."""
 
     def __call__(self) -> int:
         """Run `tactilerl study train FOLDER RUN`."""
@@ -142,7 +144,7 @@ class Train:
             if name not in runs:
                 raise InputError(f"{self.folder}: found no run {name!r} in it")
         if self.on == "gpu":
-            return batch.train(files, [runs[name] for name in self.run])
+            return batch.train(files, [runs[name] for name in self.run], self.jobs)
         if len(self.run) != 1:
             raise InputError(
                 f"run: found {len(self.run)}, allowed one, or several with --on gpu"

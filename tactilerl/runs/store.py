@@ -164,7 +164,8 @@ class RunDir:
     ) -> None:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
-        `batch` says of how many runs it is one, in how many worlds, on which device. A run that goes on after `epoch` with other versions keeps the record of those before.
+        `batch` says of how many runs it is one, in how many worlds, on which device. A run that goes
+        on after `epoch` with other versions keeps the record of those before.
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]

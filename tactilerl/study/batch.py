@@ -1,17 +1,20 @@
 """Train many runs of a study as one batch, on a GPU: worlds side by side, networks stacked.
 
-Taxels move nothing, so runs share their physics that differ in nothing but layout, touch, taxels' faults,
-seed and numbers of their learners. Each has its own folder, as if it had been trained alone.
+Taxels move nothing, so runs share their physics that differ in nothing but layout, touch, taxels'
+faults, seed and numbers of their learners. Each has its own folder, as if it had been trained alone.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
+import sys
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -41,6 +44,7 @@ from .records import StudyFiles
 DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
+SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
 WORLD_BYTES = 300_000  # of physics: contacts, constraints and what they are solved with
 WEIGHT_COPIES = 10  # weights, gradients, Adam's moments, an actor to go back to
@@ -71,13 +75,23 @@ class Batch(jobs.Job):
 
     runs: tuple[Run, ...] = ()
     name: str = ""
+    side_by_side: int = executors.SIDE_BY_SIDE
+    """Number of batches that its process trains at once, where these runs make several."""
     shows_progress = True
 
     @property
     def arguments(self) -> list[str]:
         """The arguments of `tactilerl` that train them."""
         before, names = super().arguments, (run.name for run in self.runs)
-        return [*before[:3], *names, *before[4:], "--on", "gpu"]
+        return [
+            *before[:3],
+            *names,
+            *before[4:],
+            "--on",
+            "gpu",
+            "--jobs",
+            str(self.side_by_side),
+        ]
 
     @cached_property
     def configs(self) -> list[RunConfig]:
@@ -98,7 +112,7 @@ class Batch(jobs.Job):
         spaces = env.single_observation_space
         width = sum(math.prod(space.shape) for space in spaces.values())
         sizes = [width, *config.learner.hidden, 1]
-        weights = sum(a * b for a, b in zip(sizes, sizes[1:], strict=False))
+        weights = sum(a * b for a, b in itertools.pairwise(sizes))
         steps = scene.max_episode_steps or tasks.TASKS[scene.task].max_episode_steps
         per_run = 2 * weights * 4 * WEIGHT_COPIES
         per_run += self.worlds * (
@@ -142,7 +156,8 @@ def form(
         size = max(1, MAX_WORLDS // n_worlds(config))
         for i in range(0, len(members), size):
             part = tuple(members[i : i + size])
-            name = f"{len(batches) + 1} {Path(config.run.env).stem} {config.run.algo}"
+            name = f"{Path(config.run.env).stem} {config.run.algo}"
+            name += f" {len(batches) + 1}" if name in {b.name for b in batches} else ""
             batches.append(Batch(folder, part[0], cwd=Path.cwd(), runs=part, name=name))
     return batches, others
 
@@ -184,16 +199,26 @@ def show(batches: Sequence[Batch]) -> None:
         )
 
 
-def run_all(batches: Sequence[Batch], pool: Executor, on_end: Any) -> None:
-    """Make the runs of all batches done; `on_end` is told each run and how it ended."""
-    futures = [pool.submit(_make_done, batch) for batch in batches]
-    for batch, future in zip(batches, futures, strict=True):
-        for run, ending in zip(batch.runs, future.result(), strict=True):
-            on_end(replace(batch, run=run), ending)
+def run_all(
+    batches: Sequence[Batch], pool: Executor, side_by_side: int | None, on_end: Any
+) -> None:
+    """Make the runs of all batches done, in one process; `on_end` is told each run and how it ended.
+
+    A GPU takes turns between processes; between threads of one it does not.
+    """
+    if not batches:
+        return
+    runs = tuple(run for batch in batches for run in batch.runs)
+    n = side_by_side or executors.SIDE_BY_SIDE
+    together = replace(batches[0], runs=runs, side_by_side=n)
+    for run, ending in zip(
+        runs, pool.submit(_make_done, together).result(), strict=True
+    ):
+        on_end(replace(together, run=run), ending)
 
 
 def _make_done(batch: Batch) -> list[jobs.Ending]:
-    """Train the runs of a batch that have not ended, in a process; say how each ended."""
+    """Train the runs of batches that have not ended, in a process; say how each ended."""
     files, log = (
         StudyFiles(batch.folder),
         StudyFiles(batch.folder).beside(batch.run, "log"),
@@ -298,14 +323,32 @@ class _Training:
         options = Communicator(), run.seed, run.total_timesteps
         return algorithm(config.learner, _Seat(self.env, group), *options)
 
-    def epoch(self) -> None:
+    def train_on_a_stream(self, stop: threading.Event) -> None:
+        """Train as `train` does, beside other threads."""
+        if device() == "loop":
+            return self.train(stop)
+        with torch.cuda.stream(torch.cuda.Stream()):  # type: ignore[no-untyped-call]
+            return self.train(stop)
+
+    def train(self, stop: threading.Event) -> None:
+        """Train until all runs have their steps, or have failed; or until it is told to stop."""
+        while any(self.learner.active):
+            self.epoch(stop)
+            if stop.is_set():
+                return
+            if time.monotonic() - self.saved > SAVE_EVERY:
+                self.save()
+        self.save()
+        self.show(is_last=True)
+
+    def epoch(self, stop: threading.Event) -> None:
         """Play one epoch of each active run and learn from it, as `training` does with one."""
         learner, begin = self.learner, time.perf_counter()
         before = [one.env_steps for one in learner.learners]
         collected, learned = ([[] for _ in before] for _ in range(2))
         collect_s = update_s = 0.0
         for _ in range(learner.cycles_per_epoch):
-            if not any(active := learner.active):
+            if stop.is_set() or not any(active := learner.active):
                 break
             start = time.perf_counter()
             episodes = learner.collect()
@@ -318,6 +361,8 @@ class _Training:
                     collected[i].append(episodes[i])
                     learned[i].append(updates[i])
             self.show()
+        if stop.is_set():
+            return
         tests = learner.test([bool(part) for part in collected])
         seconds = time.perf_counter() - begin
         for i, (one, parts) in enumerate(zip(learner.learners, collected, strict=True)):
@@ -383,25 +428,46 @@ class _Training:
         console.print(text + whole)
 
 
-def train(files: StudyFiles, runs: Sequence[Run]) -> int:
-    """Train runs of a study as one batch, or go on from their last checkpoints; return the exit code."""
-    batches, others = form(files.path, runs)
-    if others or len(batches) != 1:
-        reasons = (
-            "; ".join(reason for _, reason in others)
-            or f"they make {len(batches)} batches"
-        )
-        raise InputError(f"these runs are not one batch: {reasons}")
+def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
+    """Train runs of a study as batches, or go on from their last checkpoints; return the exit code.
+
+    So many batches are trained at a time, each in a thread and on a stream of its own.
+    """
     require_device()
-    with ExitStack() as held:
-        state = _Training(batches[0], files, held)
-        while any(state.learner.active):
-            state.epoch()
-            if time.monotonic() - state.saved > SAVE_EVERY:
-                state.save()
-        state.save()
-        state.show(is_last=True)
-    return 1 if state.learner.failures else 0
+    batches, others = form(files.path, runs)
+    for run, reason in others:
+        raise InputError(f"run {run.name}: {reason}")
+    has_failed = False
+    for first in range(0, len(batches), side_by_side):
+        with ExitStack() as held:
+            some = batches[first : first + side_by_side]
+            trainings = [_Training(batch, files, held) for batch in some]
+            stop = threading.Event()
+            if len(trainings) == 1:
+                trainings[0].train(stop)
+            else:
+                _train_in_threads(trainings, stop)
+            has_failed |= any(one.learner.failures for one in trainings)
+    return int(has_failed)
+
+
+def _train_in_threads(trainings: Sequence[_Training], stop: threading.Event) -> None:
+    """Train several batches at once; the first error ends all."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_EVERY)
+    if device() != "loop":
+        torch.cuda.synchronize()
+    try:
+        with ThreadPoolExecutor(len(trainings)) as pool:
+            futures = [pool.submit(one.train_on_a_stream, stop) for one in trainings]
+            try:
+                for future in as_completed(futures):
+                    future.result()
+            except BaseException:
+                stop.set()
+                raise
+    finally:
+        sys.setswitchinterval(before)
 
 
 def _label(config: RunConfig) -> str:

@@ -1,4 +1,4 @@
-"""Executors that a study's jobs are submitted to: threads here (of which each trains a run, or a batch of runs on a GPU), or Dask on a cluster's machines."""
+"""Executors that a study's jobs are submitted to: threads here, or Dask on a cluster's machines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BATCH = {
     "htcondor": "HTCondor",
 }
 DASK = "dask:"
-SIDE_BY_SIDE = 3  # batches on a GPU: one alone waits for itself
+SIDE_BY_SIDE = 6  # batches on a GPU: one alone waits for itself
 MEMORY = "3GB"  # of a process, as the guide says
 
 
@@ -46,8 +46,8 @@ def start(
     if on == "gpu" and ranks > 1:
         raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
     if on in ("local", "gpu"):
-        n = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
-        with threads(jobs or n) as pool:
+        n = 1 if on == "gpu" else jobs or max(1, free_cores() // ranks)
+        with threads(n) as pool:
             yield pool
         return
     with extra("cluster"):

@@ -58,8 +58,8 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
     assert main(args) == 0
     said = capsys.readouterr().out
     assert "not on a GPU: bullet_s0: simulator: found 'pybullet'" in said
-    assert "batch 1 mpl ppo: 4 runs" in said
-    assert "batch 2 mpl ddpg_her: 2 runs" in said
+    assert "batch mpl ppo: 4 runs" in said
+    assert "batch mpl ddpg_her: 2 runs" in said
     all_records = [one for one in records.load(out)[1] if one.run.setup != "bullet"]
     assert [one.state for one in all_records] == 6 * ["done"]
     for one in all_records:
