@@ -11,9 +11,10 @@ import tyro
 
 from ..envs import hands
 from ..envs.grasp import setup
-from ..envs.hands import guess, sandbox
+from ..envs.hands import sandbox
 from ..errors import InputError, input_errors
 from ..files import pasted, replacing, require_new
+from ..import_hand import guess
 from ..terminal import flags
 from ..terminal.console import console
 from .grasps import draw, find_grasp

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.envs.hands import guess
+from tactilerl.import_hand import guess
 from tactilerl.scripted import grasp_search
 
 from one_line import fails_with, printed

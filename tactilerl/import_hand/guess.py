@@ -18,12 +18,12 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from .. import validation
-from ..state import Array
-from . import mount
-from .geometry import gap, geoms_of, meet, placed, posed, unit
-from .hand import DIGITS
-from .parts import Angles, HandFile, Parts, between
+from ..envs import validation
+from ..envs.hands import mount
+from ..envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
+from ..envs.hands.hand import DIGITS
+from ..envs.hands.parts import Angles, HandFile, Parts, between
+from ..envs.state import Array
 
 WORDS = {
     "thumb": "thumb|th|pollex",
