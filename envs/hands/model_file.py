@@ -60,7 +60,7 @@ def read(path: Path) -> mujoco.MjSpec:
                 f"model: actuator {actuator.name!r}: found NaN or infinity, allowed finite numbers"
             )
     spec.compiler.fusestatic = False
-    spec.compiler.balanceinertia = is_urdf
+    spec.compiler.balanceinertia |= is_urdf
     for mesh in spec.meshes if is_urdf else ():  # scans are seldom closed
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     return spec
