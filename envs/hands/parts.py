@@ -217,18 +217,22 @@ class Parts:
         )
 
     @cached_property
-    def replaced(self) -> tuple[str, ...]:
-        """Actuators of the model in whose place all joints get the library's servos.
-
-        None where all of them are position servos, each of other joints.
-        """
-        driven = set[str]()
+    def misfits(self) -> tuple[Names, Names]:
+        """Actuators of the model that are no position servos, and those of joints that have one."""
+        others, second, driven = list[str](), list[str](), set[str]()
         for actuator in self.raw.actuators:
             joints = mount.arms(self.raw, actuator).keys()
-            if joints & driven or not mount.is_servo(self.raw, actuator):
-                return tuple(actuator.name for actuator in self.raw.actuators)
+            if not mount.is_servo(self.raw, actuator):
+                others.append(actuator.name)
+            elif joints & driven:
+                second.append(actuator.name)
             driven |= joints
-        return ()
+        return tuple(others), tuple(second)
+
+    @property
+    def replaced(self) -> bool:
+        """True where misfits are among the actuators: all joints get the library's servos."""
+        return any(self.misfits)
 
     @cached_property
     def passive(self) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ def main(args: list[str]) -> int:
     with input_errors():
         _write(choices, {})
         if complaint := _servo_complaint(name):
-            console.print(f"note: {complaint}: the joints get the library's servos")
+            console.print(f"note: {complaint}: all joints get the library's servos")
             _write(choices, {"servos": "library"})
         hand = hands.get(name)
         n_actuators = len(hand.actuators) - len(hands.SLIDES)
