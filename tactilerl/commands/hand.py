@@ -14,7 +14,7 @@ from ..envs import hands, scripted
 from ..envs.grasp import GraspEnv, setup
 from ..envs.hands import sandbox
 from ..errors import InputError, input_errors
-from ..files import pasted, replacing, require_new
+from ..files import pasted, replacing, require_new, writable
 from ..import_hand import guess
 from ..terminal import flags
 from ..terminal.console import console
@@ -59,6 +59,8 @@ def main(args: list[str]) -> int:
         )
     require_new(out, choices.overwrite)
     with input_errors():
+        with writable(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
         _write(choices, {})
         if complaint := _servo_complaint(name):
             console.print(f"note: {complaint}: all joints get the library's servos")

@@ -267,13 +267,13 @@ def test_from_model_to_training(monkeypatch, capsys):
     monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
     monkeypatch.setattr(grasp_search, "STARTS", 2)
     Path("hand.xml").write_text(MODEL)
-    said = printed(capsys, ["hand", "hand.xml", "--out", "mine.toml"])
+    said = printed(capsys, ["hand", "hand.xml", "--out", "new/mine.toml"])
     assert "thumb = { links = [" in said
-    assert "next: tactilerl env --env mine.toml --check" in said
-    assert len(hands.get("mine.toml").grasps) == 1
+    assert "next: tactilerl env --env new/mine.toml --check" in said
+    assert len(hands.get("new/mine.toml").grasps) == 1
     flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
     flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]
-    assert main(["train", "--algo", "ppo", "--env", "mine.toml", *flags]) == 0
+    assert main(["train", "--algo", "ppo", "--env", "new/mine.toml", *flags]) == 0
 
 
 def test_a_guess_that_is_refused_is_printed(monkeypatch, capsys):

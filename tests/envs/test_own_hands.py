@@ -190,7 +190,7 @@ class TestTaxelFiles:
 
 class TestCommands:
     def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys, monkeypatch):
-        path, run = own(), str(tmp_path / "run")
+        path, run = own("model =", '"model" ='), str(tmp_path / "run")
         points = tmp_path / "points.toml"
         placed = layouts.load("5").place(hands.get(path)).points
         points.write_text(layouts.Layout("points", "", (), placed).toml())
