@@ -145,8 +145,8 @@ class Pitch:
 
     rows: dict[str, float]
     """Row distance for each segment."""
-    column: float
-    """Column distance."""
+    columns: dict[str, float]
+    """Column distance for each link but the palm's."""
     radius: float
     """Radius of a taxel of layouts 1-5 and of every palm taxel."""
     large_radius: float
@@ -244,6 +244,21 @@ class Point(NamedTuple):
         table = {"name": self.name, **self._asdict()}
         given = {key: table[key] for key in table if table[key] not in ((), None)}
         return ["[[taxel]]", *(f"{key} = {quoted(given[key])}" for key in given)]
+
+
+class Sensors(NamedTuple):
+    """The touch sensors that a model has of its own."""
+
+    points: tuple[Point, ...] = ()
+    left_out: tuple[str, ...] = ()
+    """Why each that is none of the points is left out."""
+
+    def __str__(self) -> str:
+        """Return what was left out, "" where that is nothing."""
+        if not self.left_out:
+            return ""
+        n, first = len(self.left_out), "; ".join(self.left_out[:3])
+        return f"{n} of {n + len(self.points)} left out: {first}{'; ...' * (n > 3)}"
 
 
 class Frame(NamedTuple):
@@ -351,8 +366,7 @@ class Hand:
     """Length of its longest digit, from knuckle to tip, m."""
     reach: float = 0.15
     """Largest distance of its fingertips from the palm's point, m."""
-    sensors: tuple[Point, ...] = ()
-    """The touch sensors that its model has."""
+    sensors: Sensors = field(default_factory=Sensors)
     welded: dict[str, Frame] = field(default_factory=dict)
     """Bodies of the model that are part of a link."""
     handed_beside: tuple[str, ...] = ()

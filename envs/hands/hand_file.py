@@ -24,6 +24,7 @@ from .hand import (
     Hand,
     LinearAction,
     ScriptedGrasp,
+    Sensors,
     Surface,
     short_digest,
 )
@@ -93,7 +94,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         finger_length=_finger_length(sides),
         reach=_reach(parts),
         welded=parts.welded,
-        sensors=surfaces.sensors(parts) if parts.is_own else (),
+        sensors=surfaces.sensors(parts) if parts.is_own else Sensors(),
         handed_beside=file.handed_beside,
     )
     return _with_actions(file, hand)
@@ -114,7 +115,15 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "left out of pictures, as their files are missing or cannot be read: meshes ": (
             model_file.undrawable(spec)
         ),
-        "joints have the library's servos, as these are not one a joint: ": parts.replaced,
+        "joints have the library's servos, as these are no position servos: ": parts.misfits[
+            0
+        ],
+        "joints have the library's servos, as these are on joints that have one: ": parts.misfits[
+            1
+        ],
+        "joints whose effort is 0, which have the servos' force: ": model_file.effortless(
+            parts.unread.model
+        ),
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [

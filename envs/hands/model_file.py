@@ -6,17 +6,23 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..state import Array
+from .hand import RADIUS
 
 EMPTY_SPEC = mujoco.MjSpec()
 """MuJoCo's own defaults, `EMPTY_SPEC.default`, for what is added to a model that has defaults."""
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
 MOST_BODIES, MOST_GEOMS = 1_000, 5_000
+MOST_TAXELS = 10_000  # of an array of a URDF
 LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
 MAX_RADIANS = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
 # What a scene decides, and no hand:
@@ -60,7 +66,7 @@ def read(path: Path) -> mujoco.MjSpec:
                 f"model: actuator {actuator.name!r}: found NaN or infinity, allowed finite numbers"
             )
     spec.compiler.fusestatic = False
-    spec.compiler.balanceinertia = is_urdf
+    spec.compiler.balanceinertia |= is_urdf
     for mesh in spec.meshes if is_urdf else ():  # scans are seldom closed
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     return spec
@@ -104,6 +110,11 @@ def parsed(path: Path) -> tuple[Element, list[Path]]:
             root = ElementTree.parse(file).getroot()
         except (ElementTree.ParseError, ValueError) as error:
             raise ValueError(f"model {file}: not valid XML: {error}") from None
+        if any("xacro" in str(element.tag) for element in root.iter()):
+            target = file.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
+            raise ValueError(
+                f"model {file}: found xacro, which ROS expands: xacro {file.name} > {target}"
+            )
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 name = include.get("file", "")
@@ -235,6 +246,84 @@ def _prepare_urdf(robot: Element, path: Path) -> None:
         fusestatic="false",
         discardvisual="false",
     )
+
+
+def effortless(path: Path) -> list[str]:
+    """Return the joints of a URDF that have an effort of 0, which MuJoCo takes as no limit."""
+    joints = parsed(path)[0].findall("joint")
+    limits = {joint.get("name", ""): joint.find("limit") for joint in joints}
+    return [
+        name
+        for name, limit in limits.items()
+        if limit is not None and float(limit.get("effort", 1)) == 0
+    ]
+
+
+class Spot(NamedTuple):
+    """A touch sensor of a model."""
+
+    name: str
+    link: str
+    position: Any
+    """(3,), in the frame of the link, m."""
+    radius: float = RADIUS
+    """m"""
+
+
+def tactile(path: Path) -> Iterator[Spot]:
+    """Yield the taxels of a URDF's `<sensor><tactile>`: of arrays, or each by itself.
+
+    Columns of an array go along y (github.com/ubi-agni/tactile_toolbox). Raise ValueError for what is
+    no number.
+    """
+    robot = parsed(path)[0]
+    for sensor in robot.iter("sensor") if robot.tag == "robot" else ():
+        name, parent = sensor.get("name", ""), sensor.find("parent")
+        link = "" if parent is None else parent.get("link", "")
+        turn, origin = _pose(sensor.find("origin"))
+        for array in sensor.findall("tactile/array"):
+            rows, columns = (
+                _numbers(array, "rows", "1")[0],
+                _numbers(array, "cols", "1")[0],
+            )
+            if not 1 <= rows * columns <= MOST_TAXELS:
+                raise ValueError(
+                    f"model: sensor {name!r}: found {rows:g} x {columns:g} taxels, allowed "
+                    f"{MOST_TAXELS:,}"
+                )
+            size = array.get("size", "0.004 0.004")
+            spacing, offset = (
+                _numbers(array, "spacing", size),
+                _numbers(array, "offset", "0 0"),
+            )
+            for row, column in np.ndindex(int(rows), int(columns)):
+                at = [*(spacing * (row, column) - offset), 0.0]
+                radius = _numbers(array, "size", size).min() / 2
+                yield Spot(f"{name}[{row},{column}]", link, origin + turn @ at, radius)
+        for taxel in sensor.findall("tactile/taxel"):
+            box = taxel.find("geometry/box")
+            size = RADIUS if box is None else np.sort(_numbers(box, "size", ""))[1] / 2
+            at = origin + turn @ _pose(taxel)[1]
+            yield Spot(f"{name}[{taxel.get('idx', '')}]", link, at, size)
+
+
+def _pose(element: Element | None) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and position (3,), m, of an element that has xyz and rpy."""
+    pose = Element("origin") if element is None else element
+    angles = _numbers(pose, "rpy", "0 0 0")
+    return Rotation.from_euler("xyz", angles).as_matrix(), _numbers(
+        pose, "xyz", "0 0 0"
+    )
+
+
+def _numbers(element: Element, key: str, usual: str) -> Array:
+    text = element.get(key, usual)
+    try:
+        return np.array([float(word) for word in text.split()])
+    except ValueError:
+        raise ValueError(
+            f"model: <{element.tag}> {key}: found {text!r}, expected numbers"
+        ) from None
 
 
 def _check_joints(robot: Element) -> None:

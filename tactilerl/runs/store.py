@@ -290,7 +290,9 @@ def _hand_file(path: Path) -> bytes:
     if ":" in model:
         return text.encode()
     line = json.dumps(str((path.parent / model).absolute()), ensure_ascii=False)
-    text = re.sub(r"(?m)^\s*model\s*=.*$", lambda _: f"model = {line}", text, count=1)
+    text = re.sub(
+        r"""(?m)^\s*(["']?)model\1\s*=.*$""", lambda _: f"model = {line}", text, count=1
+    )
     return text.encode()
 
 
