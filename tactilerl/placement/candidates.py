@@ -97,11 +97,6 @@ class DesignFlags:
             raise ValueError(f"taxels: found {self.taxels!r}, allowed {allowed}")
         return range(low, high + 1)
 
-    @property
-    def n_played(self) -> int:
-        """Number of starts that are played."""
-        return len(self.scene) * len(self.waits) * (self.starts + self.test_starts)
-
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
         validation.require(type(self), vars(self))
