@@ -197,7 +197,7 @@ def _blind(
 ) -> tuple[float, str]:
     """Return the success of the best scripted hand without touch, and which it is.
 
-    It is chosen in a tenth of as many starts, as the gate's is, and judged on those on which taxels are.
+    It is chosen in a tenth of as many starts, as the gate's is, and judged where taxels are.
     The success is the mean over scenes, each with the hand that is best there.
     """
     flags = pool.flags

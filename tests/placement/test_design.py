@@ -199,7 +199,14 @@ class TestLosses:
 
     @pytest.mark.parametrize(
         ("text", "named"),
-        [("", "group"), ('[[group]]\nname = "a"\ndigits = ["toe"]\n', "toe: unknown")],
+        [
+            ("", "group"),
+            ("group = []", "group: found none, allowed one or more"),
+            ('[[group]]\nname = " "\ndigits = ["index"]\n', "found one without a name"),
+            ('[[group]]\nname = "a"\n', "group a: found nothing in it, allowed taxels, digits or"),
+            (2 * '[[group]]\nname = "a"\ndigits = ["index"]\n', "group: found a 2 times, allowed once"),
+            ('[[group]]\nname = "a"\ndigits = ["toe"]\n', "toe: unknown"),
+        ],
     )
     def test_a_wrong_file_of_groups(self, text, named, tmp_path):
         hand, file = hands.get("mpl"), tmp_path / "boards.toml"
@@ -374,6 +381,9 @@ class TestCommand:
         [
             (["--start-closing", "1"], "start_closing: found 1.0, allowed [0, 1)"),
             (["--scene"], "scene: found none"),
+            (["--scene", "handover", "handover"], "scene: found handover 2 times, allowed once"),
+            (["--taxel-threshold", "0.1", "0.10"], "taxel_threshold: found 0.1 2 times"),
+            (["--start-closing", "0.3", "0.3"], "start_closing: found 0.3 2 times, allowed once"),
             (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found 0.3, allowed"),
             (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
