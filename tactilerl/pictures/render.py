@@ -29,8 +29,10 @@ HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
+FARTHER = 1.2  # than the camera's distance, so that whole hands are in the picture
 SIDE, LINES, LETTERS = 480, 88, (40, 26)
 """Pixels of a film: height of the scene, of the lines above it, and of their letters."""
+TOUCH = "no touch", "touch"
 RED, GREEN = (248, 180, 172), (178, 226, 178)
 MAX_REACHES = (
     0.6  # reaches of the hand that an object may be from the palm to be looked at
@@ -68,7 +70,7 @@ class _Artist:
     def __init__(self, env: GraspEnv, camera: Camera) -> None:
         self.env = env
         size = env.hand.reach / Hand.reach
-        self._camera = replace(camera, distance=size * camera.distance)
+        self._camera = replace(camera, distance=FARTHER * size * camera.distance)
         self._map: TaxelMap | None = None
         if env.config.touch != "absent":
             self._map = TaxelMap(env.hand, env.taxels, camera.height)
@@ -77,9 +79,10 @@ class _Artist:
         """Return an RGB picture (height, width, 3) uint8 with the hand in its middle."""
         env = self.env
         state = env.simulator.state()
-        towards = state.object_position - state.palm
+        hand = (state.palm + state.fingertips.mean(axis=0)) / 2
+        towards = state.object_position - hand
         share = min(1.0, MAX_REACHES * env.hand.reach / float(np.linalg.norm(towards)))
-        middle = state.palm + share * towards / 2
+        middle = hand + share * towards / 2
         image = env.picture(replace(self._camera, lookat=tuple(middle.tolist())))
         if self._map is None:
             return image
@@ -125,7 +128,8 @@ class _Player:
         timestep = self.env.config.timestep
         every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (every * timestep)
-        self.label, self._successes, self._number = run.name, 0, 0
+        self.label = TOUCH[self.env.config.touch == "on"]
+        self._successes, self._number = 0, 0
         self._artist, self._tick = _Artist(self.env, camera), tick
         self._pictures: list[Array] = []
         filmed: Any = Filmed(self.env.simulator, every, self._show)
@@ -173,6 +177,11 @@ def film(
         players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:
             opened.callback(player.env.close)
+        if len({player.label for player in players}) < len(
+            runs
+        ):  # then their names tell them apart
+            for run, player in zip(runs, players, strict=True):
+                player.label = run.name
         if len({player.fps for player in players}) > 1:
             raise InputError("render: found runs whose timesteps differ")
         writer = None
