@@ -74,16 +74,16 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """Many worlds of one scene, in groups that may differ in layout, touch and the taxels' faults.
 
     Worlds of a group are consecutive. Observations are a dict of float32 tensors (n, ...) on the
-    device: ``observation``, each group's own at the front and zeros behind (`widths`), ``achieved_goal`` and
-    ``desired_goal``. Rewards are float32, the rest bool, (n,): tensors as well; NumPy's with
+    device: ``observation``, each group's own at the front and zeros behind (`widths`),
+    ``achieved_goal`` and ``desired_goal``. Rewards are float32, the rest bool, (n,): tensors as well; NumPy's with
     `numpy=True`. In ``info``, each (n,) and NumPy's: ``is_success``; ``diverged``, as in `GraspEnv`, or
     because a world had no room for its contacts (``overflowed``); and ``holding``.
 
     A step that ends in a hold test is not over before the test is, which takes several calls of `step`:
     until then the world is ``holding``, shows what it showed before that step, has reward 0 and ignores
     actions. The call that says ``holding`` no more ends the step: it returns observation, reward and
-    end as `GraspEnv` returns them at once. So a learner keeps the observation and the action with which it
-    began a step until that step comes back without ``holding``.
+    end as `GraspEnv` returns them at once. So a learner keeps the observation and the action with which
+    it began a step until that step comes back without ``holding``.
 
     With `AutoresetMode.DISABLED` a world that has ended stands still until it is reset.
     """

@@ -207,17 +207,19 @@ class LoopSimulator(BatchSimulator):
             world.close()
 
 
-def make(scene: Scene, n: int, device: str) -> BatchSimulator:
+def make(scene: Scene, n: int, device: str, **options: Any) -> BatchSimulator:
     """Return n running scenes: MuJoCo's in a loop ("loop"), or MuJoCo Warp's on a PyTorch device.
+
+    `options` are those of `warp.WarpSimulator`.
 
     Raise ImportError where MuJoCo Warp is not installed.
     """
     if device == "loop":
-        return LoopSimulator(scene, n)
+        return LoopSimulator(scene, n, **options)
     try:
         from .warp import WarpSimulator
     except ModuleNotFoundError as error:
         raise ImportError(
             "found no MuJoCo Warp; install the extra: pip install 'tactilerl[gpu]'"
         ) from error
-    return WarpSimulator(scene, n, device)
+    return WarpSimulator(scene, n, device, **options)
