@@ -114,7 +114,7 @@ def make_vec(
     if device is None and not torch.cuda.is_available():
         raise ValueError("device: found no GPU, allowed without: 'loop' (slow)")
     config, size = setup(name, **choices), num_envs if n is None else n
-    shared = [replace(config, layout=layout) for layout in layouts] or [config]
+    shared = [replace(config, layout=str(layout)) for layout in layouts] or [config]
     if size < len(shared):
         raise ValueError(f"n: found {size}, allowed from {len(shared)}, one a layout")
     ends = [size * part // len(shared) for part in range(len(shared) + 1)]

@@ -138,8 +138,8 @@ HELD = {"full": dict(hold_seconds=2.0), "settled": dict(hold_verdict="settled")}
         ("mpl", dict(object_size=0.04, **HELD["full"]), grasp, 1000.0),
         ("mpl", dict(object_size=0.04, **HELD["settled"], taxel_threshold=0.1), grasp, 1000.0),
         ("mpl", dict(object="cylinder", touch_rule="force", **SHORT), grasp, -100.0),
-        ("shadow", dict(object="sphere", sight_noise_kind="held", object_seen="noisy", **SHORT), swing, -100.0),
-        ("shadow", dict(task="reach-goal", goal_range=0.02, reward="dense", object_seen="start"), swing, None),
+        ("shadow", dict(object="sphere", sight_noise_kind="held", **SHORT, **NOISY), swing, -100.0),
+        ("shadow", dict(task="reach-goal", reward="dense", object_seen="start"), swing, None),
     ],
     ids=["full hold", "settled hold", "force", "late", "goals"],
 )  # fmt: skip
