@@ -90,20 +90,18 @@ def make_vec(
     num_envs: int = 1,
     n: int | None = None,
     layouts: Sequence[str | int] = (),
-    device: str | None = None,
+    device: str = "cuda",
     options: Mapping[str, Any] = MappingProxyType({}),
     **choices: Any,
 ) -> BatchEnv:
     """Return many worlds of a hand or scene, played at once: a Gymnasium VectorEnv of PyTorch tensors.
 
     `n` (or `num_envs`) worlds are shared out evenly between `layouts` (none: the scene's own).
-    `device` is that of MuJoCo Warp (None: the GPU), or "loop", which is exact and slow; `options` are
+    `device` is PyTorch's, for MuJoCo Warp, or "loop", which is exact and slow; `options` are
     further arguments of `batch.BatchEnv`. The rest is as in `make`.
 
     Raise ValueError for what cannot be.
     """
-    import torch
-
     from .batch import BatchEnv
     from .grasp import setup
 
@@ -111,16 +109,14 @@ def make_vec(
         name, choices = _of_scene(scene, name, choices)
     if name is None or not hands.is_hand(name):
         raise ValueError(f"env: found {name!r} in a batch, allowed: {hands.allowed()}")
-    if device is None and not torch.cuda.is_available():
-        raise ValueError("device: found no GPU, allowed without: 'loop' (slow)")
     config, size = setup(name, **choices), num_envs if n is None else n
-    shared = [replace(config, layout=layout) for layout in layouts] or [config]
+    shared = [replace(config, layout=str(layout)) for layout in layouts] or [config]
     if size < len(shared):
         raise ValueError(f"n: found {size}, allowed from {len(shared)}, one a layout")
     ends = [size * part // len(shared) for part in range(len(shared) + 1)]
     sizes = [end - start for start, end in pairwise(ends)]
     groups = list(zip(shared, sizes, strict=True))
-    return BatchEnv(name, groups, device or "cuda", **options)
+    return BatchEnv(name, groups, device, **options)
 
 
 def _of_scene(

@@ -74,16 +74,16 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """Many worlds of one scene, in groups that may differ in layout, touch and the taxels' faults.
 
     Worlds of a group are consecutive. Observations are a dict of float32 tensors (n, ...) on the
-    device: ``observation``, each group's own at the front and zeros behind (`widths`), ``achieved_goal`` and
-    ``desired_goal``. Rewards are float32, the rest bool, (n,): tensors as well; NumPy's with
-    `numpy=True`. In ``info``, each (n,) and NumPy's: ``is_success``; ``diverged``, as in `GraspEnv`, or
-    because a world had no room for its contacts (``overflowed``); and ``holding``.
+    device: ``observation``, each group's own at the front and zeros behind (`widths`),
+    ``achieved_goal`` and ``desired_goal``. Rewards are float32, the rest bool, (n,): tensors as well;
+    NumPy's with `numpy=True`. In ``info``, each (n,) and NumPy's: ``is_success``; ``diverged``, as in
+    `GraspEnv`, or because a world had no room for its contacts (``overflowed``); and ``holding``.
 
     A step that ends in a hold test is not over before the test is, which takes several calls of `step`:
     until then the world is ``holding``, shows what it showed before that step, has reward 0 and ignores
     actions. The call that says ``holding`` no more ends the step: it returns observation, reward and
-    end as `GraspEnv` returns them at once. So a learner keeps the observation and the action with which it
-    began a step until that step comes back without ``holding``.
+    end as `GraspEnv` returns them at once. So a learner keeps the observation and the action with which
+    it began a step until that step comes back without ``holding``.
 
     With `AutoresetMode.DISABLED` a world that has ended stands still until it is reset.
     """
@@ -830,7 +830,10 @@ class _Senses:
         self._terms, self._first_shape = env._observer._terms, env.task.first
         self.draws = draws(n, simulator.tensor)
         sizes = [size for _, size in groups]
-        spread = lambda values: np.repeat(np.array(values), sizes, axis=0)  # noqa: E731
+
+        def spread(values: Any) -> Array:
+            return np.repeat(np.array(values), sizes, axis=0)
+
         configs = [config for config, _ in groups]
         self.n_taxels = spread(
             [
@@ -859,9 +862,8 @@ class _Senses:
         self.wants_contacts = any(rule.reads_forces for rule in self._touches)
         tensor = simulator.tensor
         joints = env._observer._joints
-        self._white, self._held = (
-            (tensor(joints.white), tensor(joints.held)) if joints else (None, None)
-        )
+        self._white: Tensor | None = tensor(joints.white) if joints else None
+        self._held = tensor(joints.held if joints else 0.0)
         self._error = self._noise = torch.zeros(
             (n, len(env.hand.joints)), dtype=simulator.dtype, device=simulator.device
         )

@@ -29,7 +29,12 @@ ALLOWED = {
     "dask": ("tactilerl/study/executors.py",),
     "dask_jobqueue": ("tactilerl/study/executors.py",),
     "matplotlib": ("benchmarks/", "tactilerl/study/figures.py"),
-    "torch": ("algos/", "tactilerl/", "benchmarks/"),
+    "torch": (
+        *("algos/", "tactilerl/", "benchmarks/"),
+        *("envs/batch.py", "envs/simulators/batch.py", "envs/simulators/warp.py"),
+    ),
+    "mujoco_warp": ("envs/simulators/warp.py",),
+    "warp": ("envs/simulators/warp.py",),
     "tyro": ("tactilerl/terminal/", "tactilerl/commands/"),
 }
 

@@ -12,10 +12,12 @@ again:
 
 from __future__ import annotations
 
+import gc
 import json
 import multiprocessing
 import os
 import time
+import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from functools import partial
@@ -222,7 +224,13 @@ class Rows:
         if time.monotonic() > self._ends:
             print(*key, "left out: time is up", flush=True)
             return
-        row = {"key": key, **measure()}
+        try:
+            row = {"key": key, **measure()}
+        except Exception:  # the others may work, and a GPU's time is short
+            print(*key, traceback.format_exc(), flush=True)
+            return
+        finally:
+            gc.collect()
         with self._path.open("a", encoding="utf-8") as file:
             print(json.dumps(row), file=file)
         shown = {name: value for name, value in row.items() if not isinstance(value, dict | list)}

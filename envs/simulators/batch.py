@@ -7,6 +7,7 @@ is exact, and no faster than its worlds one after the other.
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -207,17 +208,21 @@ class LoopSimulator(BatchSimulator):
             world.close()
 
 
-def make(scene: Scene, n: int, device: str) -> BatchSimulator:
+def make(scene: Scene, n: int, device: str, **options: Any) -> BatchSimulator:
     """Return n running scenes: MuJoCo's in a loop ("loop"), or MuJoCo Warp's on a PyTorch device.
 
-    Raise ImportError where MuJoCo Warp is not installed.
+    `options` are those of `warp.WarpSimulator`.
+
+    Raise ValueError where there is no such device, ImportError where MuJoCo Warp is not installed.
     """
     if device == "loop":
-        return LoopSimulator(scene, n)
+        return LoopSimulator(scene, n, **options)
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ValueError("device: found no GPU, allowed without one: 'loop' (slow)")
     try:
-        from .warp import WarpSimulator
+        warp: Any = importlib.import_module(f"{__package__}.warp")
     except ModuleNotFoundError as error:
         raise ImportError(
             "found no MuJoCo Warp; install the extra: pip install 'tactilerl[gpu]'"
         ) from error
-    return WarpSimulator(scene, n, device)
+    return warp.WarpSimulator(scene, n, device, **options)

@@ -33,6 +33,18 @@ HUGE = 1e10  # beyond it MuJoCo warns of a bad state
 class WarpSimulator(BatchSimulator):
     """MuJoCo Warp's worlds, in float32."""
 
+    # Memory that Warp and PyTorch share, (n, ...).
+    _qpos: Tensor
+    _qvel: Tensor
+    _act: Tensor
+    _ctrl: Tensor
+    _xfrc_applied: Tensor
+    _xpos: Tensor
+    _xquat: Tensor
+    _xmat: Tensor
+    _qacc_warmstart: Tensor
+    _overflow: Tensor
+
     def __init__(
         self,
         scene: Scene,
@@ -47,7 +59,6 @@ class WarpSimulator(BatchSimulator):
         A world has room for `nconmax` contacts and `njmax` rows of constraints. `iterations` are the
         solver's at most (None: the scene's).
         """
-        warp.config.quiet = True
         self.scene, self.n, self.kind = scene, n, scene.shape.kind
         self.device, self.dtype = torch.device(device), torch.float32
         self._device = warp.get_device(
@@ -111,7 +122,7 @@ class WarpSimulator(BatchSimulator):
         """Give an array a row for each world."""
         shared = getattr(owner, name)
         values = np.repeat(shared.numpy()[:1], self.n, axis=0)
-        own = warp.array(values, dtype=shared.dtype, device=self._device)
+        own: Any = warp.array(values, dtype=shared.dtype, device=self._device)
         setattr(owner, name, own)
         return warp.to_torch(own)
 
@@ -296,7 +307,10 @@ class WarpSimulator(BatchSimulator):
             self._data.contact,
             min(int(warp.to_torch(self._data.nacon)[0]), self._data.naconmax),
         )
-        pick = lambda name: warp.to_torch(getattr(found, name))[:n]  # noqa: E731
+
+        def pick(name: str) -> Tensor:
+            return warp.to_torch(getattr(found, name))[:n]
+
         world, geoms, address = (
             pick(name).long() for name in ("worldid", "geom", "efc_address")
         )

@@ -128,6 +128,7 @@ def swing(seed: int, step: int) -> Any:
     return np.random.default_rng([seed, step]).uniform(-1, 1, 23)
 
 
+SHORT = dict(object_size="0.04..0.05", max_episode_steps=15, history=3)
 HELD = {"full": dict(hold_seconds=2.0), "settled": dict(hold_verdict="settled")}
 
 
@@ -136,9 +137,9 @@ HELD = {"full": dict(hold_seconds=2.0), "settled": dict(hold_verdict="settled")}
     [
         ("mpl", dict(object_size=0.04, **HELD["full"]), grasp, 1000.0),
         ("mpl", dict(object_size=0.04, **HELD["settled"], taxel_threshold=0.1), grasp, 1000.0),
-        ("mpl", dict(object="cylinder", object_size="0.04..0.05", touch_rule="force", max_episode_steps=15), grasp, -100.0),
-        ("shadow", dict(object="sphere", object_seen="noisy", sight_noise_kind="held", max_episode_steps=12), swing, -100.0),
-        ("shadow", dict(task="reach-goal", goal_range=0.02, reward="dense", object_seen="start", history=3), swing, None),
+        ("mpl", dict(object="cylinder", touch_rule="force", **SHORT), grasp, -100.0),
+        ("shadow", dict(object="sphere", sight_noise_kind="held", **SHORT, **NOISY), swing, -100.0),
+        ("shadow", dict(task="reach-goal", reward="dense", object_seen="start"), swing, None),
     ],
     ids=["full hold", "settled hold", "force", "late", "goals"],
 )  # fmt: skip
