@@ -121,9 +121,12 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "joints have the library's servos, as these are on joints that have one: ": parts.misfits[
             1
         ],
-        "joints whose effort is 0, which have the servos' force: ": model_file.effortless(
-            parts.unread.model
-        ),
+        "joints whose effort is 0, which have the servos' force: ": [
+            joint.get("name", "")
+            for joint in model_file.parsed(parts.unread.model)[0].findall("joint")
+            for limit in joint.findall("limit")
+            if float(limit.get("effort", 1)) == 0
+        ],
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
