@@ -144,11 +144,10 @@ def _notes(parts: Parts) -> tuple[str, ...]:
 
 def _finger_length(sides: tuple[Surface, ...]) -> float:
     """Return the length of the longest digit, m: of all its segments."""
-    lengths: dict[str, float] = {}
+    lengths = dict.fromkeys((side.digit for side in sides), 0.0)
     for side in sides:
         if side.segment != "palm":
-            low, high, _ = side.span
-            lengths[side.digit] = lengths.get(side.digit, 0.0) + (high - low)
+            lengths[side.digit] += side.span[1] - side.span[0]
     return max(lengths.values())
 
 
