@@ -244,9 +244,12 @@ class Layout:
                 "radius_mm": patch.radius_mm,
                 "threshold_N": patch.threshold_N,
             }
-            given = [(key, value) for key, value in values.items() if value is not None]
             lines += ["", "[[patch]]"]
-            lines += [f"{key} = {validation.quoted(value)}" for key, value in given]
+            lines += [
+                f"{key} = {validation.quoted(value)}"
+                for key, value in values.items()
+                if value is not None
+            ]
         for point in self.taxels:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"

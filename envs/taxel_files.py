@@ -185,13 +185,10 @@ def _read_csv(text: str) -> Tables:
             raise ValueError(
                 f"line {line}: found {list(row.values())}, expected numbers"
             ) from None
-        table = {
-            "position": place,
-            "normal": normal or None,
-            "radius": (radius or [RADIUS])[0],
-        }
-        table |= {"link": texts["link"]} if "link" in heading else {}
-        yield {**table, "name": texts["name"]}
+        table: dict[str, Any] = {"position": place, "name": texts["name"]}
+        table |= {"normal": normal} if normal else {}
+        table |= {"radius": radius[0]} if radius else {}
+        yield table | ({"link": texts["link"]} if "link" in heading else {})
 
 
 FORMS = {

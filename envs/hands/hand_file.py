@@ -121,9 +121,12 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "joints have the library's servos, as these are on joints that have one: ": parts.misfits[
             1
         ],
-        "joints whose effort is 0, which have the servos' force: ": model_file.effortless(
-            parts.unread.model
-        ),
+        "joints whose effort is 0, which have the servos' force: ": [
+            joint.get("name", "")
+            for joint in model_file.parsed(parts.unread.model)[0].findall("joint")
+            for limit in joint.findall("limit")
+            if float(limit.get("effort", 1)) == 0
+        ],
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
@@ -141,11 +144,10 @@ def _notes(parts: Parts) -> tuple[str, ...]:
 
 def _finger_length(sides: tuple[Surface, ...]) -> float:
     """Return the length of the longest digit, m: of all its segments."""
-    lengths: dict[str, float] = {}
+    lengths = dict.fromkeys((side.digit for side in sides), 0.0)
     for side in sides:
         if side.segment != "palm":
-            low, high, _ = side.span
-            lengths[side.digit] = lengths.get(side.digit, 0.0) + (high - low)
+            lengths[side.digit] += side.span[1] - side.span[0]
     return max(lengths.values())
 
 

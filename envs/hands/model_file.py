@@ -248,17 +248,6 @@ def _prepare_urdf(robot: Element, path: Path) -> None:
     )
 
 
-def effortless(path: Path) -> list[str]:
-    """Return the joints of a URDF that have an effort of 0, which MuJoCo takes as no limit."""
-    joints = parsed(path)[0].findall("joint")
-    limits = {joint.get("name", ""): joint.find("limit") for joint in joints}
-    return [
-        name
-        for name, limit in limits.items()
-        if limit is not None and float(limit.get("effort", 1)) == 0
-    ]
-
-
 class Spot(NamedTuple):
     """A touch sensor of a model."""
 
@@ -278,52 +267,45 @@ def tactile(path: Path) -> Iterator[Spot]:
     """
     robot = parsed(path)[0]
     for sensor in robot.iter("sensor") if robot.tag == "robot" else ():
-        name, parent = sensor.get("name", ""), sensor.find("parent")
-        link = "" if parent is None else parent.get("link", "")
-        turn, origin = _pose(sensor.find("origin"))
-        for array in sensor.findall("tactile/array"):
-            rows, columns = (
-                _numbers(array, "rows", "1")[0],
-                _numbers(array, "cols", "1")[0],
-            )
-            if not 1 <= rows * columns <= MOST_TAXELS:
-                raise ValueError(
-                    f"model: sensor {name!r}: found {rows:g} x {columns:g} taxels, allowed "
-                    f"{MOST_TAXELS:,}"
-                )
-            size = array.get("size", "0.004 0.004")
-            spacing, offset = (
-                _numbers(array, "spacing", size),
-                _numbers(array, "offset", "0 0"),
-            )
-            for row, column in np.ndindex(int(rows), int(columns)):
-                at = [*(spacing * (row, column) - offset), 0.0]
-                radius = _numbers(array, "size", size).min() / 2
-                yield Spot(f"{name}[{row},{column}]", link, origin + turn @ at, radius)
-        for taxel in sensor.findall("tactile/taxel"):
-            box = taxel.find("geometry/box")
-            size = RADIUS if box is None else np.sort(_numbers(box, "size", ""))[1] / 2
-            at = origin + turn @ _pose(taxel)[1]
-            yield Spot(f"{name}[{taxel.get('idx', '')}]", link, at, size)
+        link = "".join(parent.get("link", "") for parent in sensor.findall("parent"))
+        turn, origin = np.eye(3), np.zeros(3)
+        for pose in sensor.findall("origin"):
+            angles = _numbers(pose, "rpy", "0 0 0")
+            turn = Rotation.from_euler("xyz", angles).as_matrix()
+            origin = _numbers(pose, "xyz", "0 0 0")
+        for label, place, size in _taxels(sensor):
+            name = f"{sensor.get('name')}[{label}]"
+            yield Spot(name, link, origin + turn @ place, size / 2)
 
 
-def _pose(element: Element | None) -> tuple[Array, Array]:
-    """Return rotation (3, 3) and position (3,), m, of an element that has xyz and rpy."""
-    pose = Element("origin") if element is None else element
-    angles = _numbers(pose, "rpy", "0 0 0")
-    return Rotation.from_euler("xyz", angles).as_matrix(), _numbers(
-        pose, "xyz", "0 0 0"
-    )
+def _taxels(sensor: Element) -> Iterator[tuple[str, Any, float]]:
+    """Yield what a tactile sensor's taxels are called, and their places (3,) and sizes, m."""
+    for array in sensor.findall("tactile/array"):
+        rows, columns = (int(array.get(key, 1)) for key in ("rows", "cols"))
+        if not 1 <= rows * columns <= MOST_TAXELS:
+            raise ValueError(
+                f"model: sensor {sensor.get('name')!r}: found {rows} x {columns} taxels, allowed "
+                f"{MOST_TAXELS:,}"
+            )
+        size = _numbers(array, "size", "0.004 0.004")
+        spacing = _numbers(array, "spacing", array.get("size", "0.004 0.004"))
+        for spot in np.ndindex(rows, columns):
+            place = spacing * spot - _numbers(array, "offset", "0 0")
+            yield f"{spot[0]},{spot[1]}", [*place, 0.0], size.min()
+    for taxel in sensor.findall("tactile/taxel"):
+        sizes = [
+            np.median(_numbers(box, "size", ""))
+            for box in taxel.findall("geometry/box")
+        ]
+        yield (
+            taxel.get("idx", ""),
+            _numbers(taxel, "xyz", "0 0 0"),
+            *(sizes or [2 * RADIUS])[:1],
+        )
 
 
 def _numbers(element: Element, key: str, usual: str) -> Array:
-    text = element.get(key, usual)
-    try:
-        return np.array([float(word) for word in text.split()])
-    except ValueError:
-        raise ValueError(
-            f"model: <{element.tag}> {key}: found {text!r}, expected numbers"
-        ) from None
+    return np.array([float(word) for word in element.get(key, usual).split()])
 
 
 def _check_joints(robot: Element) -> None:

@@ -60,17 +60,15 @@ def of(parts: Parts) -> tuple[Surface, ...]:
 
 def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
     """Return the file's pitch, or rows that fit on the shortest of a segment, columns on each link."""
-    table = parts.file.pitch
-    spans = [(s.segment, *s.span) for s in surfaces if s.segment != "palm"]
+    table, columns = parts.file.pitch, dict[str, float]()
     rows: dict[str, float] = {}
-    for segment, low, high, _ in spans:
-        rows[segment] = min(rows.get(segment, 5e-3), 0.3 * (high - low))
+    for side in surfaces:
+        if side.segment != "palm":
+            low, high, half_width = side.span
+            shortest = rows.get(side.segment, 5e-3)
+            rows[side.segment] = min(shortest, 0.3 * (high - low))
+            columns[side.link] = table.column or min(5e-3, 0.6 * half_width)
     require_known(table.rows, rows)
-    columns = {
-        s.link: table.column or min(5e-3, 0.6 * s.span[2])
-        for s in surfaces
-        if s.segment != "palm"
-    }
     return Pitch(rows | table.rows, columns, table.radius, table.large_radius)
 
 

@@ -81,7 +81,9 @@ class Guess:
             self.keys["drop"] += [actuator.name for actuator in self._spec().actuators]
         self._find_palm(self._spec())
         self.parts = self._parts()
-        self._cut_off_a_stand()
+        if self._is_on_a_stand() and "root" not in self.keys:
+            self._cut()
+            self.parts = self._parts()
         self.frame = self.parts.palm_frame
         self.chains = chains_of(self.parts, self.frame.link, self.notes)
 
@@ -110,40 +112,37 @@ class Guess:
         link = mount.link_of(palm)
         n_others = n_joints(link) - n_joints(palm)
         has_other_hand = n_others >= n_joints(palm) and len(palm.bodies) > 1
-        self._root = palm.name if n_others == 0 or has_other_hand else link.name
-        if len(spec.joints) - n_joints(spec.body(self._root)) > MAX_WRIST_JOINTS:
+        root = palm if n_others == 0 or has_other_hand else link
+        self._root = root.name
+        if len(spec.joints) - n_joints(root) > MAX_WRIST_JOINTS:
             self._cut()
 
     def _cut(self) -> None:
         self.keys["root"] = self._root
         self.notes.append(f"root: cut off what {self._root} hangs on")
 
-    def _cut_off_a_stand(self) -> None:
-        """Set the root where the palm is part of, or hangs on, what is too large for a hand."""
+    def _is_on_a_stand(self) -> bool:
+        """Return whether the palm is part of, or hangs on, what is too large for a hand."""
         frame, model = self.parts.palm_frame, self.parts.model
         data = posed(model, {})
         palm = placed(data, frame.link, frame.place)
-        for link in mount.chain(self.parts.spec.body(frame.link)):
-            for point in (p for geom in geoms_of(model, link) for p in geom.points):
-                away = np.linalg.norm(placed(data, link, point) - palm)
-                if away > LARGEST_MOUNT and "root" not in self.keys:
-                    self._cut()
-        self.parts = self._parts()
+        away = [
+            np.linalg.norm(placed(data, link, point) - palm)
+            for link in mount.chain(self.parts.spec.body(frame.link))
+            for geom in geoms_of(model, link)
+            for point in geom.points
+        ]
+        return bool(max(away, default=0.0) > LARGEST_MOUNT)
 
     def _palm_of(self, spec: mujoco.MjSpec) -> str:
         """Return the body of the link from which most digits branch, furthest from the root.
 
         It is what that link hangs on where further digits, such as the thumb, hang there beside it.
         """
-        bases: dict[
-            str, list[mujoco.MjsBody]
-        ] = {}  # of digits, by the link they are on
+        bases: dict[str, list[mujoco.MjsBody]] = {}  # of digits, by their link
         for body in spec.bodies[1:]:
-            if (
-                list(body.joints)
-                and body.parent.name != "world"
-                and body.find_all("geom")
-            ):
+            moves = list(body.joints) and body.parent.name != "world"
+            if moves and body.find_all("geom"):
                 bases.setdefault(mount.link_of(body.parent).name, []).append(body)
 
         def rank(link: str) -> tuple[int, int]:
@@ -159,24 +158,23 @@ class Guess:
                 "palm: found no body from which two digits branch; name it with --palm"
             )
         link = next(link for link in bases if rank(link) == most)
-        for _ in range(MAX_WRIST_JOINTS):
-            above = spec.body(link).parent
-            carrying = "" if above.name == "world" else mount.link_of(above).name
-            beside = [each for each in bases.get(carrying, ()) if each.name != link]
-            if not beside or any(map(branches, beside)):
-                break
+        above = spec.body(link).parent
+        carrying = "" if above.name == "world" else mount.link_of(above).name
+        beside = [each for each in bases.get(carrying, ()) if each.name != link]
+        if beside and not any(map(branches, beside)):
             link = carrying
         palm = mode(body.parent.name for body in bases[link])
-        n_digits = Counter(
-            body.parent.name
-            for bodies in bases.values()
-            for body in bodies
-            if not branches(body)
+        inside = {part.name for part in spec.body(palm).find_all("body")}
+        ends = (
+            body for bodies in bases.values() for body in bodies if not branches(body)
         )
-        for part in spec.body(palm).find_all("body"):
-            del n_digits[part.name]
+        n_digits = Counter(end.parent.name for end in ends)
         least = max(2, n_digits[palm] - 1)
-        others = [name for name in n_digits if name != palm and n_digits[name] >= least]
+        others = [
+            name
+            for name in n_digits
+            if name not in {palm, *inside} and n_digits[name] >= least
+        ]
         if others:
             names = ", ".join([palm, *others])
             self.notes.append(
