@@ -93,7 +93,7 @@ def alone(hand: str, scene: str, taxel: Taxels) -> list[float]:
 
 
 def show(known: dict[str, dict[str, Any]]) -> None:
-    """Print the errors, and how often both are above a force, where either of the two reads something."""
+    """Print the errors, and how often both are above a force, where either of the two reads any."""
     rows = []
     for key, row in known.items():
         rule, sensor = np.array(row["rule"]), np.array(row["mujoco"])
