@@ -29,7 +29,8 @@ HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
-FARTHER = 1.2  # than the camera's distance, so that whole hands are in the picture
+ABOVE_GROUND = 0.01  # m, where a camera stays: through the ground all is grey
+FARTHER = 1.2  # than the distance of pictures: a hand is not cut while it opens
 SIDE, LINES, LETTERS = 480, 88, (40, 26)
 """Pixels of a film: height of the scene, of the lines above it, and of their letters."""
 TOUCH = "no touch", "touch"
@@ -70,7 +71,7 @@ class _Artist:
     def __init__(self, env: GraspEnv, camera: Camera) -> None:
         self.env = env
         size = env.hand.reach / Hand.reach
-        self._camera = replace(camera, distance=FARTHER * size * camera.distance)
+        self._camera = replace(camera, distance=size * camera.distance)
         self._map: TaxelMap | None = None
         if env.config.touch != "absent":
             self._map = TaxelMap(env.hand, env.taxels, camera.height)
@@ -83,7 +84,11 @@ class _Artist:
         towards = state.object_position - hand
         share = min(1.0, MAX_REACHES * env.hand.reach / float(np.linalg.norm(towards)))
         middle = hand + share * towards / 2
-        image = env.picture(replace(self._camera, lookat=tuple(middle.tolist())))
+        camera = self._camera
+        below = np.clip((middle[2] - ABOVE_GROUND) / camera.distance, -1.0, 1.0)
+        elevation = min(camera.elevation, float(np.degrees(np.arcsin(below))))
+        lookat = tuple(middle.tolist())
+        image = env.picture(replace(camera, elevation=elevation, lookat=lookat))
         if self._map is None:
             return image
         felt = env.taxel_readings() * (env.config.touch == "on")
@@ -172,7 +177,8 @@ def film(
     run's environment is not a grasping one.
     """
     ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
-    camera = replace(camera, width=SIDE, height=SIDE, shadows=False)
+    distance = FARTHER * camera.distance
+    camera = replace(camera, distance=distance, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
         players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:

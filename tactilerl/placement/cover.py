@@ -158,8 +158,7 @@ def greedy(
         """Return the best set that is one of the `rests` and one taxel more, or nothing."""
         scores = np.full((len(rests), n_taxels), -np.inf)
         for rest, row in zip(rests, scores, strict=True):
-            is_free = ~overlap[rest].any(axis=0)
-            is_free[rest] = False
+            is_free = _free(rest, overlap)
             each = scores_with_each(starts, rest, losses).round(12) + ties
             row[is_free] = each[is_free]
         index, taxel = divmod(int(np.argmax(scores)), n_taxels)
@@ -180,6 +179,13 @@ def greedy(
     return chosen
 
 
+def _free(taxels: list[int], overlap: Array) -> Array:
+    """Tell which other taxels fit beside these, bool (m,)."""
+    is_taken = overlap[taxels].any(axis=0)
+    is_taken[taxels] = True
+    return np.asarray(~is_taken)
+
+
 def packed(k: int, existing: Sequence[int], overlap: Array) -> list[int]:
     """Return `k` taxels, each of which leaves as much room for others as it can.
 
@@ -187,8 +193,7 @@ def packed(k: int, existing: Sequence[int], overlap: Array) -> list[int]:
     """
     chosen = list(existing)
     while len(chosen) < k:
-        is_free = ~overlap[chosen].any(axis=0)
-        is_free[chosen] = False
+        is_free = _free(chosen, overlap)
         if not is_free.any():
             n_placed = len(chosen) - len(existing)
             raise ValueError(

@@ -277,7 +277,8 @@ def compare(
     `tick` is called after every one of the `n_compared` episodes.
     """
     searched, compared = numbers(seed, starts, search)
-    results, with_touch = [], []
+    results: list[HandResult] = []
+    with_touch = []
     for variant in variants:
         senses = ("touch",) if results else tuple(SENSES)
         found = examine(hand, variant, searched, compared, workers, tick, senses)
