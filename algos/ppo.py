@@ -46,6 +46,7 @@ from .rollout import (
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
+MAX_GROWTH = 10.0  # of the values of a new critic; beyond returns, too, it has diverged
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -295,7 +296,8 @@ class PPO(Learner):
         *(*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam"),
         *("silence", "rewards"),
     )
-    plain = ("env_steps", "epochs", "before_update")
+    plain = ("env_steps", "epochs", "before_update", "first_values")
+    plain += ("lowest_return", "highest_return")
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
@@ -321,6 +323,8 @@ class PPO(Learner):
         self.silence = Silence()
         self.before_update: dict[str, Any] = {}  # states of `acting`
         self.rewards = RewardScale(config.normalize_rewards)
+        self.lowest_return = self.highest_return = 0.0  # of all episodes, 0 included
+        self.first_values = 0.0  # how far those of the new critic reach
 
     def describe(self) -> str:
         config = self.config
@@ -496,23 +500,35 @@ class PPO(Learner):
         return Transitions(acted_on, actions, log_prob, normalized, target)
 
     def _warn_of_divergence(self, values: Array) -> None:
-        """Warn where the critic's values (n,) are beyond any return of the rewards seen so far."""
-        rewards = [reward for episode in self._episodes for reward in episode.rewards]
-        self.rewards.see(np.array(rewards))
-        # A return is at most the largest reward, divided by this.
-        one_minus_gamma = 1.0 - self.config.gamma
-        if one_minus_gamma == 0.0:
-            return
-        low, high = (
-            self.rewards.lowest / one_minus_gamma,
-            self.rewards.highest / one_minus_gamma,
-        )
-        margin = high - low  # what a critic may be off by without having diverged
-        if values.min() < low - margin or values.max() > high + margin:
+        """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
+
+        Where more would have followed an episode, it could have been the largest reward forever. New
+        critics are off by what their weights give them, and nothing is known before the first reward.
+        """
+        gamma, reach = self.config.gamma, float(np.abs(values).max())
+        self.first_values = self.first_values or reach / self.rewards.unit
+        for episode in self._episodes:
+            self.rewards.see(np.array(episode.rewards))
+        for episode in self._episodes:
+            for extreme in (self.rewards.lowest, self.rewards.highest):
+                rest = 0.0
+                if extreme and self._goes_on(episode):
+                    rest = (
+                        extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
+                    )
+                returns = discounted([*episode.rewards, rest], gamma)
+                self.lowest_return = min(self.lowest_return, *returns)
+                self.highest_return = max(self.highest_return, *returns)
+        low, high = self.lowest_return, self.highest_return
+        margin = high - low + MAX_GROWTH * self.first_values * self.rewards.unit
+        if (
+            low < high
+            and not low - margin <= values.min() <= values.max() <= high + margin
+        ):
             self.warn_once(
                 "values",
                 f"the critic's values reach from {values.min():.3g} to {values.max():.3g}, but "
-                f"returns of the rewards seen lie between {low:.3g} and {high:.3g}: it has diverged",
+                f"returns of the episodes seen lie between {low:.3g} and {high:.3g}: it has diverged",
             )
 
     def _goes_on(self, episode: Episode[Array]) -> bool:

@@ -394,17 +394,39 @@ class TestUndo:
         assert flat(whole.state_dict()) == flat(resumed.state_dict())
 
 
-def test_a_critic_that_diverged_is_told_once():
-    """Rewards lie between 0 and 1, so with gamma .9 no return is beyond 10."""
-    ppo = make_ppo(scripted(reward=lambda rng: 1.0), gamma=0.9, critic_lr=1e-6)
+@pytest.mark.parametrize("scale", [1.0, 1e-4])
+@pytest.mark.parametrize(
+    ("choices", "config", "high"),
+    [
+        (dict(length=5), dict(gamma=1.0), 5.0),
+        (dict(length=5), dict(gamma=0.99), 4.9),
+        (dict(length=5, terminated=False), dict(gamma=0.9), 10.0),
+        (dict(length=5, terminated=False), dict(gamma=0.9, truncation="terminal"), 4.1),
+        (dict(length=5), dict(gamma=0.99, normalize_rewards=True), 4.9),
+    ],
+)
+def test_a_critic_that_diverged_is_told_once(choices, config, high, scale):
+    """Beyond what episodes returned, or could have had they gone on, and what a new critic says."""
+    ppo = make_ppo(scripted(reward=lambda rng: scale, **choices), critic_lr=1e-6, **config)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        trained(ppo, 1)
+        trained(ppo, 2)
     with torch.no_grad():
-        ppo.critic[-1].bias.fill_(500.0)
-    with pytest.warns(UserWarning, match="values reach .* between 0 and 10: it has diverged") as told:
+        ppo.critic[-1].bias.fill_(50.0)
+    words = rf"values reach .* between 0 and {scale * high:.2g}: it has diverged"
+    with pytest.warns(UserWarning, match=words) as told:
         trained(ppo, 2)
     assert len(told) == 1
+
+
+@pytest.mark.parametrize("reward", [0.0, 1e-4])
+def test_values_before_a_reward_or_of_tiny_ones_are_no_divergence(reward):
+    """Nor is what a critic says of a task without an end, where nothing bounds returns."""
+    scripts = scripted(reward=lambda rng: reward * (rng.random() < 0.1), terminated=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for gamma in (0.99, 1.0):
+            trained(make_ppo(scripts, gamma=gamma), 6)
 
 
 HARD = {
