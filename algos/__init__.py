@@ -73,6 +73,11 @@ class Workers(Protocol):
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return a goal environment's rewards (n,) for goals (n, goal_size)."""
 
+    def compute_terminated(
+        self, achieved_goal: Array, desired_goal: Array
+    ) -> Array | None:
+        """Return whether goals (n, goal_size) end an episode, (n,); None where nobody says."""
+
     def play(
         self,
         job: Callable[[gym.Env[Any, Any], int, Callable[[], bool]], T],

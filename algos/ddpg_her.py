@@ -116,7 +116,9 @@ class DDPGHERConfig(LearnerConfig):
     once rewards below -1 or above 0 are seen. With --normalize-rewards it follows all rewards."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
-    since baselines has no done mask; terminal: it is not.
+    since baselines has no done mask; terminal: it is not. Whether a relabelled goal ends the episode
+    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it; else it ends
+    where rewards are as high as at the ends that were seen, if those were higher than all others.
     """
     normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
@@ -279,6 +281,7 @@ class DDPGHER(Learner):
             n_boolean(space),
             workers.compute_reward,
             np.random.default_rng([seed, comm.rank, rollout.LEARN]),
+            workers.compute_terminated if config.termination == "terminal" else None,
         )
         self._action_l2 = config.action_l2
         self.cycles_per_epoch = config.n_cycles
