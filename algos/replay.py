@@ -13,6 +13,7 @@ from . import Array
 from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
+Ends = Callable[[Array, Array], Array | None]
 Values = TypeVar("Values")
 
 
@@ -35,7 +36,7 @@ class Batch(NamedTuple, Generic[Values]):
     """Rewards (n,)."""
     next_obs: Values
     terminal: Values
-    """1 where the episode was terminated by this transition, else 0, (n,)."""
+    """1 where this transition ends the episode, with its goal, else 0, (n,)."""
 
 
 class Replay:
@@ -54,8 +55,11 @@ class Replay:
         n_boolean: int,
         reward: Reward,
         rng: np.random.Generator,
+        ends: Ends | None = None,
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
+
+        Without `ends`, a new goal leaves the episode's end as it was.
 
         Raises ValueError when not a single episode has room.
         """
@@ -65,7 +69,7 @@ class Replay:
             )
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
         self.sizes, self.n_boolean = sizes, n_boolean
-        self.reward, self.rng = reward, rng
+        self.reward, self.rng, self.ends = reward, rng, ends
         self.n_episodes = 0
         self._rows = max_steps + 1
         self._columns: dict[str, Array] = {}
@@ -220,15 +224,50 @@ class Replay:
         row = first + t
         goal = self._columns["desired"][row]
         goal[is_relabelled] = self._columns["achieved"][(first + future)[is_relabelled]]
-        reward = self.reward(self._columns["achieved"][row + 1], goal)
+        achieved = self._columns["achieved"][row + 1]
+        reward = np.asarray(self.reward(achieved, goal), np.float32)
+        terminal = self._columns["terminal"][row, 0].astype(bool)
+        terminal = self._terminal(achieved, goal, reward, terminal, is_relabelled)
         return Batch(
             obs=self._observations(row),
             goal=goal,
             action=self._columns["action"][row],
-            reward=np.asarray(reward, np.float32),
+            reward=reward,
             next_obs=self._observations(row + 1),
-            terminal=self._columns["terminal"][row, 0].astype(np.float32),
+            terminal=terminal.astype(np.float32),
         )
+
+    def _terminal(
+        self,
+        achieved: Array,
+        goal: Array,
+        reward: Array,
+        was_terminal: Array,
+        is_relabelled: Array,
+    ) -> Array:
+        """Return whether transitions end the episode, for a new goal where it is relabelled.
+
+        The environment says it; else rewards do, where with their own goals all transitions that ended
+        had higher ones than all that did not. Otherwise the goal is taken to have no part in it.
+        """
+        if self.ends is None:
+            return was_terminal
+        ends = self.ends(achieved[is_relabelled], goal[is_relabelled])
+        if ends is None:
+            slots = np.arange(self.n_episodes)
+            rows = slots * self._rows + self._lengths[slots] - 1
+            rows = rows[self._columns["terminal"][rows, 0] == 1]
+            at_end = self._columns["achieved"][rows + 1], self._columns["desired"][rows]
+            lowest = (
+                np.min(self.reward(*at_end), initial=np.inf) if len(rows) else np.inf
+            )
+            others = reward[~is_relabelled & ~was_terminal]
+            if not len(others) or lowest <= others.max():
+                return was_terminal
+            ends = reward[is_relabelled] >= lowest
+        terminal = was_terminal.copy()
+        terminal[is_relabelled] = ends
+        return terminal
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
