@@ -971,7 +971,8 @@ class BatchDDPGHER(BatchLearner):
         )
         hold = self.numbers("random_hold")
         begin = random_eps / (random_eps + hold * (1.0 - random_eps))
-        is_random, drawn = None, torch.zeros(0)
+        is_random = torch.zeros(self.worlds.shape, dtype=torch.bool, device=self.device)
+        drawn = torch.zeros(*self.worlds.shape, self.n_actions, device=self.device)
 
         def act(obs: Tensor, numbers: Tensor, steps: Tensor, moving: Tensor) -> Tensor:
             nonlocal is_random, drawn
@@ -986,14 +987,12 @@ class BatchDDPGHER(BatchLearner):
             )
             noisy = (actions + noise).clamp(-1.0, 1.0)
             new = (2 * uniform[..., d + 1 :] - 1).float()
-            if bool((steps == 0).all()):  # of a wave
-                is_random, drawn = chance < random_eps, new
-            else:
-                was = torch.zeros_like(moving) if is_random is None else is_random
-                is_new = chance < torch.where(was, begin / hold, begin)
-                is_held = was & (chance >= 1.0 / hold)
-                drawn = torch.where((is_new & moving)[..., None], new, drawn)
-                is_random = torch.where(moving, is_new | is_held, was)
+            is_first = steps == 0
+            after = torch.where(is_random, begin / hold, begin)
+            is_new = chance < torch.where(is_first, random_eps, after)
+            is_held = is_random & ~is_first & (chance >= 1.0 / hold)
+            drawn = torch.where((is_new & moving)[..., None], new, drawn)
+            is_random = torch.where(moving, is_new | is_held, is_random)
             return torch.where(is_random[..., None], drawn, noisy)
 
         def is_taken(lengths: Tensor, indices: Tensor) -> Tensor:
@@ -1131,7 +1130,7 @@ class BatchDDPGHER(BatchLearner):
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> list[dict[str, float]]:
-        """Take one cycle's updates of each active run, with one or more moves of the target networks."""
+        """Take one cycle's updates of each active run, and move its target networks."""
         config, n = self.config, self.config.n_batches
         size, counts = (
             n * config.batch_size,
