@@ -209,6 +209,8 @@ class RunDir:
 
     def append(self, *rows: dict[str, Any]) -> None:
         """Add rows to the table, on disk; the first row decides the columns."""
+        if not rows:
+            return
         with open(
             self.table, "a+", newline="", encoding="utf-8", opener=no_link
         ) as file:

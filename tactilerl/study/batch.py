@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import signal
 import sys
 import threading
 import time
@@ -61,7 +62,7 @@ def require_device() -> None:
     if device() == "loop":
         return
     with extra("gpu"):
-        import mujoco_warp  # noqa: F401
+        import mujoco_warp  # type: ignore[import-untyped]  # noqa: F401
         import warp  # noqa: F401
     if not torch.cuda.is_available():
         raise InputError(
@@ -347,7 +348,11 @@ class _Training:
         """Train until all runs have their steps, or have failed; or until it is told to stop."""
         while any(self.learner.active):
             self.epoch(stop)
-            if stop.is_set():
+            if (
+                stop.is_set()
+            ):  # in the middle of an epoch, which a checkpoint would not be
+                for run_dir, rows in zip(self.run_dirs, self.rows, strict=True):
+                    run_dir.append(*rows)
                 return
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
@@ -358,7 +363,8 @@ class _Training:
         """Play one epoch of each active run and learn from it, as `training` does with one."""
         learner, begin = self.learner, time.perf_counter()
         before = [one.env_steps for one in learner.learners]
-        collected, learned = ([[] for _ in before] for _ in range(2))
+        collected: list[list[training.Row]] = [[] for _ in before]
+        learned: list[list[training.Row]] = [[] for _ in before]
         collect_s = update_s = 0.0
         for _ in range(learner.cycles_per_epoch):
             if stop.is_set() or not any(active := learner.active):
@@ -458,6 +464,8 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     )
     free, stop = threading.Semaphore(side_by_side), threading.Event()
     sys.setswitchinterval(SWITCH_EVERY)
+    if threading.current_thread() is threading.main_thread():  # to end in order
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with ExitStack() as held, ThreadPoolExecutor(side_by_side) as pool:
             try:
