@@ -59,7 +59,7 @@ class Draws:
 
         Counters (E, ...) or int tell draws apart.
         """
-        shape = torch.broadcast_shapes(
+        shape = torch.broadcast_shapes(  # type: ignore[no-untyped-call]
             *(c.shape for c in counters if not isinstance(c, int))
         )
         x = self.seeds.view(-1, *[1] * (len(shape) - 1))
@@ -122,7 +122,7 @@ class Networks:
         The first weights, of which it has not all columns, are a view only where none is missing: see
         `assign`.
         """
-        pieces = flat.detach()[i].split(self.sizes)
+        pieces = flat.detach()[i].split(self.sizes)  # type: ignore[no-untyped-call]
         views = [
             piece.view(shape) for piece, shape in zip(pieces, self.shapes, strict=False)
         ]
@@ -130,7 +130,7 @@ class Networks:
 
     def __call__(self, x: Tensor, flat: Tensor | None = None) -> Tensor:
         """Return outputs (E, n, outputs) for inputs (E, n, width), by other weights where given."""
-        pieces = (self.flat if flat is None else flat).split(self.sizes, dim=1)
+        pieces = (self.flat if flat is None else flat).split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
         last = len(self.shapes) - 2
         for k in range(0, last + 1, 2):
             weight = pieces[k].unflatten(1, self.shapes[k])
@@ -140,7 +140,7 @@ class Networks:
 
     def scale_outputs(self, factor: Tensor, flat: Tensor | None = None) -> None:
         """Multiply what each run's last layer returns by a factor (E,), as MLP's does."""
-        pieces = (self.flat if flat is None else flat).detach().split(self.sizes, dim=1)
+        pieces = (self.flat if flat is None else flat).detach().split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
         for piece in pieces[-3:-1]:
             piece.mul_(factor[:, None])
 
@@ -179,9 +179,9 @@ class Stats:
         """Stack normalizers; inputs that a run does not have stay as they are."""
         self.columns, device = columns, columns[0].device
         n = len(normalizers)
-        numbers = [[s.count, s._block_squares, s.clip] for s in normalizers]
-        numbers = torch.tensor(numbers, dtype=torch.float64, device=device)
-        self.count, self.block_squares, self.clip = numbers.view(n, 1, 3).split(
+        own = [[s.count, s._block_squares, s.clip] for s in normalizers]
+        numbers = torch.tensor(own, dtype=torch.float64, device=device)
+        self.count, self.block_squares, self.clip = numbers.view(n, 1, 3).split(  # type: ignore[no-untyped-call]
             1, dim=2
         )
         self.mean, self.squares = torch.zeros(
@@ -356,7 +356,7 @@ class Worlds:
             lengths = lengths + counts[-1]
             terminated = terminated | (counts[-1] & is_end.view(shape))
             live = live & ~void & ~(moving & (is_end | is_cut).view(shape))
-        steps = _packed(*map(torch.stack, (views, actions, rewards, counts)), lengths)
+        steps = _packed(*map(torch.stack, (views, actions, rewards, counts)), lengths)  # type: ignore[call-arg]
         return Played(*steps, lengths, terminated, success, diverged, started)
 
     def _flags(self, info: dict[str, Any], name: str) -> Tensor:
@@ -366,7 +366,7 @@ class Worlds:
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
         keys = ("observation", "achieved_goal", "desired_goal")
-        return torch.cat([obs[key] for key in keys], dim=-1).unflatten(0, self.shape)
+        return torch.cat([obs[key] for key in keys], dim=-1).unflatten(0, self.shape)  # type: ignore[no-untyped-call]
 
 
 def _packed(
@@ -758,14 +758,12 @@ class BatchPPO(BatchLearner):
         verdicts = [(False, False, False)] * n_runs
         if not self.config.undo_silent:
             return (*torch.zeros(2, n_runs, dtype=torch.bool, device=device),)
-        whole = self.played.usable & (self.played.diverged == 0)
-        sums, whole = self.played.rewards.double().sum(dim=2).tolist(), whole.tolist()
+        is_whole = (self.played.usable & (self.played.diverged == 0)).tolist()
+        sums = self.played.rewards.double().sum(dim=2).tolist()
         for i, (one, is_on) in enumerate(
             zip(self.learners, self.on.tolist(), strict=True)
         ):
-            returns = [
-                x for x, is_whole in zip(sums[i], whole[i], strict=True) if is_whole
-            ]
+            returns = [*itertools.compress(sums[i], is_whole[i])]
             if returns and is_on:
                 verdict = one.silence.judge(returns)
                 is_kept = verdict == "learn" and one.silence.can_undo
@@ -971,7 +969,8 @@ class BatchDDPGHER(BatchLearner):
         )
         hold = self.numbers("random_hold")
         begin = random_eps / (random_eps + hold * (1.0 - random_eps))
-        is_random, drawn = None, torch.zeros(0)
+        is_random = torch.zeros(self.worlds.shape, dtype=torch.bool, device=self.device)
+        drawn = torch.zeros(*self.worlds.shape, self.n_actions, device=self.device)
 
         def act(obs: Tensor, numbers: Tensor, steps: Tensor, moving: Tensor) -> Tensor:
             nonlocal is_random, drawn
@@ -986,14 +985,12 @@ class BatchDDPGHER(BatchLearner):
             )
             noisy = (actions + noise).clamp(-1.0, 1.0)
             new = (2 * uniform[..., d + 1 :] - 1).float()
-            if bool((steps == 0).all()):  # of a wave
-                is_random, drawn = chance < random_eps, new
-            else:
-                was = torch.zeros_like(moving) if is_random is None else is_random
-                is_new = chance < torch.where(was, begin / hold, begin)
-                is_held = was & (chance >= 1.0 / hold)
-                drawn = torch.where((is_new & moving)[..., None], new, drawn)
-                is_random = torch.where(moving, is_new | is_held, was)
+            is_first = steps == 0
+            after = torch.where(is_random, begin / hold, begin)
+            is_new = chance < torch.where(is_first, random_eps, after)
+            is_held = is_random & ~is_first & (chance >= 1.0 / hold)
+            drawn = torch.where((is_new & moving)[..., None], new, drawn)
+            is_random = torch.where(moving, is_new | is_held, is_random)
             return torch.where(is_random[..., None], drawn, noisy)
 
         def is_taken(lengths: Tensor, indices: Tensor) -> Tensor:
@@ -1131,7 +1128,7 @@ class BatchDDPGHER(BatchLearner):
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> list[dict[str, float]]:
-        """Take one cycle's updates of each active run, with one or more moves of the target networks."""
+        """Take one cycle's updates of each active run, and move its target networks."""
         config, n = self.config, self.config.n_batches
         size, counts = (
             n * config.batch_size,
@@ -1273,7 +1270,7 @@ class BatchDDPGHER(BatchLearner):
         self.goal_stats.write(i, one.goal_stats)
         for name in ("worst", "best", "reward_scale"):
             setattr(one, name, float(getattr(self, name)[i]))
-        width, goal = one.spaces.observation["observation"].shape[0], self.n_goal
+        width, goal = len(self.obs_stats.columns[i]), self.n_goal
         for slot in self.unsaved.pop(id(one), {}):
             n = int(self.lengths[i, slot])
             rows = self.memory[i, slot, : n + 1].cpu().numpy()

@@ -199,7 +199,7 @@ class Surrogate(NamedTuple):
     """True where the ratio is outside the clip range."""
 
 
-def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
+def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: Any) -> Surrogate:
     """Return the clipped objective from log ratios and advantages (n,) (Schulman et al. 2017, eq. 7).
 
     Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any clip range; what

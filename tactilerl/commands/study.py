@@ -33,9 +33,9 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
-    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or numbers
-    of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or
-    htcondor (extra: cluster).
+    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or
+    numbers of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf,
+    sge or htcondor (extra: cluster).
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
     """Runs trained side by side; default: one per core. On a GPU: batches; default: 6. With a batch
@@ -56,9 +56,10 @@ class Run:
         runs, is_gpu = study.runs(), self.on == "gpu"
         if is_gpu:
             batch.require_device()
-            for run, reason in batch.form(files.path, runs)[1]:
+            batches, others = batch.form(files.path.absolute(), runs)
+            for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
-                runs.remove(run)
+            runs = [run for one in batches for run in one.runs]
         jobs.check(files, runs, makes=not is_gpu)
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
@@ -88,9 +89,8 @@ class Run:
                 console.print(text)
 
             if is_gpu:
-                batches, _ = batch.form(
-                    files.path.absolute(), [job.run for job in todo]
-                )
+                names = {job.run.name for job in todo}
+                batches = [left for one in batches if (left := one.of(names)).runs]
                 batch.show(batches)
                 batch.run_all(batches, pool, self.jobs, show)
             else:

@@ -160,18 +160,16 @@ class RunDir:
         ranks: int,
         epoch: int = 0,
         env_steps: int = 0,
-        batch: Values | None = None,
+        origin: Values | None = None,
     ) -> None:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
-        `batch` says of how many runs it is one, in how many worlds, on which device. A run that goes
-        on after `epoch` with other versions keeps the record of those before.
+        `origin` says the latter where it is more than versions, such as a batch of runs. A run that
+        goes on after `epoch` with other versions keeps the record of those before.
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
-        now: Values = {**machine.origin(epoch, env_steps)}
-        if batch is not None:
-            now["batch"] = batch
+        now: Values = origin or {**machine.origin(epoch, env_steps)}
         same = {name: now[name] for name in now if name not in ("epoch", "env_steps")}
         if not origins or not origins[-1].items() >= same.items():
             origins.append(now)
@@ -211,6 +209,8 @@ class RunDir:
 
     def append(self, *rows: dict[str, Any]) -> None:
         """Add rows to the table, on disk; the first row decides the columns."""
+        if not rows:
+            return
         with open(
             self.table, "a+", newline="", encoding="utf-8", opener=no_link
         ) as file:

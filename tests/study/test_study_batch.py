@@ -54,7 +54,7 @@ def in_a_loop(monkeypatch, trained_here):
 
 def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, capsys, monkeypatch):
     out, study = tmp_path / "out", write(tmp_path, STUDY)
-    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "1"]
+    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "2"]
     assert main(args) == 0
     said = capsys.readouterr().out
     assert "not on a GPU: bullet_s0: simulator: found 'pybullet'" in said
