@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .. import algos
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, Spaces
+from ..envs import validation
 from ..files import damage_named
-from .config import RunConfig, from_saved
+from .config import RunConfig
 from .store import RunDir, read_tensors, write_tensors
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def load_policy(path: str | Path) -> Policy:
     data = _read(path)
     with damage_named(path):
         config_type, learner_type = algos.get(data["algo"])
-        config = from_saved(config_type, json.loads(data["learner"]), "learner")
+        config = validation.fill(config_type, json.loads(data["learner"]), "learner")
         config.validate()
         spaces = Spaces.from_json(data["spaces"])
         policy: Policy = learner_type.saved_policy(config, spaces, data["state"])

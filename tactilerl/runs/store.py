@@ -188,7 +188,7 @@ class RunDir:
                 config = from_dict({name: data[name] for name in PARTS})
             except InputError as error:
                 version = data["provenance"][-1]["versions"].get("tactilerl")
-                made = f"made by version {version}; this one reads runs of 0.4.0 on"
+                made = f"made by version {version}; this one reads runs of 0.5.0 on"
                 raise InputError(f"{error} ({made})") from error
         hand = str(data.get("hand", ""))
         return dataclasses.replace(config, folder=self.path, hand=hand)
@@ -285,7 +285,7 @@ def as_record(data: Any) -> Values:
     """Return the values of a config.json; ValueError where they are something else."""
     require_type(data, Values, "record")
     if data.get("format") != FORMAT:
-        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.4.0 on")
+        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
     require_type(data, ConfigFile, "record")
     return dict(data)
 

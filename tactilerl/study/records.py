@@ -234,7 +234,7 @@ def collect(path: Path, out: Path | None = None) -> Path:
 
 def _unpacked(path: Path) -> dict[str, bytes]:
     """Return the files in a packed file, by name; they are never written by that name."""
-    with damage_named(path, "not a collected study of 0.4.0 or later"):
+    with damage_named(path, "not a collected study of this version"):
         data, files = read_whole(path, is_packed=True), {}
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:

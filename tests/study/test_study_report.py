@@ -166,7 +166,7 @@ class TestWarnings:
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
         old = tmp_path / "old.tar.gz"  # of 0.3.0
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
-        fails_with(capsys, ["study", "status", old], "not a collected study of 0.4.0")
+        fails_with(capsys, ["study", "status", old], "not a collected study")
 
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
