@@ -101,8 +101,11 @@ def read_tensors(
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):
+            entries = archive.infolist()
+            if any(entry.compress_type for entry in entries):
                 raise ValueError("it is compressed, as torch.save does not write it")
+            if sum(entry.file_size for entry in entries) > path.stat().st_size:
+                raise ValueError("its parts overlap")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
@@ -213,6 +216,11 @@ class RunDir:
             )
             if columns is None:
                 writer.writeheader()
+            elif lost := [name for name in columns if name not in row]:
+                raise InputError(
+                    f"{self.table}: its header has {lost[0][:50]!r}, which this run does not write; "
+                    "put back the header that it had"
+                )
             writer.writerow(row)
             file.flush()
             os.fsync(file.fileno())
@@ -313,6 +321,8 @@ def parse(text: str) -> tuple[list[Row], str]:
             before = now
             for column, field in row.items():
                 low, high = (0.0, 1.0) if column.endswith(RATE_SUFFIX) else FINITE
+                if column.removeprefix("test_") == "diverged":  # a count of episodes
+                    low, high = 0.0, 1e15
                 if not (low <= (value := float(field or 0)) <= high or value != value):
                     raise ValueError(f"{column}: found {field[:50]}")
             rows.append(row)

@@ -238,6 +238,8 @@ def _unpacked(path: Path) -> dict[str, bytes]:
         data, files = read_whole(path, is_packed=True), {}
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
+                if entry.size < 0:  # it would be read again and again
+                    raise ValueError(f"{entry.name[:50]}: a size of {entry.size}")
                 if entry.type == tarfile.REGTYPE and not entry.issparse():
                     file = archive.extractfile(entry)
                     files[entry.name] = file.read() if file else b""

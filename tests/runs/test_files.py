@@ -21,6 +21,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
+from tactilerl.runs.policies import load_policy
 from tactilerl.runs.store import RunDir
 
 from one_line import fails_with, python
@@ -355,3 +356,15 @@ class TestTerminal:
             "tactilerl: interrupted; the last checkpoint is kept: --resume new --import cut\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("wrong", ["inputs", "layers"])
+def test_a_policy_takes_no_more_memory_than_its_file_could_hold(tmp_path, wrong):
+    path = tmp_path / "small.pt"
+    shape, hidden = ([10**7], [8]) if wrong == "inputs" else ([2], [300] * 1000)
+    action = {"shape": [1], "dtype": "float32", "low": [-1], "high": [1]}
+    spaces = json.dumps({"observation": {"": shape}, "action": action})
+    content = {"policy_format": 1, "algo": "ppo", "learner": json.dumps({"hidden": hidden})}
+    torch.save({**content, "spaces": spaces, "state": {}}, path)
+    with pytest.raises(ValueError, match="weights or more"):
+        load_policy(path)

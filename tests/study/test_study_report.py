@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +165,12 @@ class TestWarnings:
         fails_with(capsys, ["study", "collect", tmp_path / ("x" * 300)], "xxx")
         (tmp_path / "mine").write_text("")
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
+        entry = tarfile.TarInfo("neg").tobuf()  # read again and again: its size leads back to it
+        size = (2**88 - 512).to_bytes(11, "big")
+        entry = entry[:124] + b"\xff" + size + entry[136:148] + b" " * 8 + entry[156:]
+        total = b"%06o\0 " % sum(entry)
+        (tmp_path / "neg.tar.gz").write_bytes(gzip.compress(entry[:148] + total + entry[156:]))
+        fails_with(capsys, ["study", "status", tmp_path / "neg.tar.gz"], "a size of -512")
         old = tmp_path / "old.tar.gz"  # of 0.3.0
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
         fails_with(capsys, ["study", "status", old], "not a collected study")
