@@ -51,6 +51,8 @@ def load_policy(path: str | Path) -> Policy:
     observation, or for a batch of observations. Files of others are safe to load: only tensors and
     plain values are read. Raises ValueError, one line, when there is no policy or its file is damaged.
     """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"path: found {path!r}, allowed a run folder or a file")
     path = Path(path)
     if path.is_dir():
         return read_run(path).policy
