@@ -85,9 +85,14 @@ class ConfigFile(TypedDict):
 
 
 def write_tensors(path: Path, content: Values) -> None:
-    """Write tensors and plain values, whole or not at all."""
+    """Write tensors and plain values, whole or not at all; OSError where the disk is full."""
     with replacing(path) as file:
-        torch.save(content, file)
+        try:
+            torch.save(content, file)
+        except RuntimeError as error:  # what PyTorch makes of a full disk
+            if isinstance(error.__context__, OSError):
+                raise error.__context__ from None
+            raise
 
 
 def read_tensors(

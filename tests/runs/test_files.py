@@ -368,3 +368,19 @@ def test_a_policy_takes_no_more_memory_than_its_file_could_hold(tmp_path, wrong)
     torch.save({**content, "spaces": spaces, "state": {}}, path)
     with pytest.raises(ValueError, match="weights or more"):
         load_policy(path)
+
+
+def test_a_full_disk_is_an_error_of_the_disk(tmp_path):
+    code = """if True:
+        import pathlib, resource, torch
+        from tactilerl.runs import store
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        try:
+            store.write_tensors(pathlib.Path("x.pt"), {"x": torch.zeros(10**6)})
+        except OSError as error:
+            print(error.strerror, *pathlib.Path().iterdir())
+    """
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ended.stdout == "File too large\n", ended.stderr
