@@ -64,6 +64,8 @@ class TestTrain:
         assert "6 minibatches of about 20 transitions, 2 passes: 12 updates" in out
         assert "epoch    2" in out
         assert "tactilerl evaluate run" in out
+        assert "Learning curve" not in out  # no success to show
+        assert "tactilerl render" not in out
         config = json.loads(Path("run/config.json").read_text())
         assert config["learner"]["gae_lambda"] == 0.97
         assert config["provenance"][0]["versions"]["torch"]
