@@ -16,7 +16,7 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 .PHONY: train policies test test-slow package lint bench film figures docs clean
 .NOTPARALLEL:
 
-# What training needs: no PyBullet, no MPI, nothing for tests.
+# What training and films need: no PyBullet, no MPI, nothing for tests.
 TRAINING := $(VENV)/.installed-train
 $(TRAINING): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -24,7 +24,7 @@ $(TRAINING): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
 	@echo "setting up $(VENV) with PyTorch and MuJoCo: a few minutes"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python tools/install_torch.py --constraint constraints.txt --index $(TORCH_INDEX) $(CUDA:%=--cuda)
-	$(INSTALL) --editable .
+	$(INSTALL) --editable ".[render]"
 	@touch $@
 	@echo "ready: . $(BIN)/activate"
 
@@ -36,12 +36,18 @@ $(DEVELOPMENT): $(TRAINING)
 		echo "PyBullet: found no wheel for this Python; going on without it"
 	touch $@
 
-# Two hands, the same but for touch. Goes on with runs that are there already.
+# Two hands, the same but for touch, side by side on a core each. Goes on with runs that are there already.
+# xargs and not `&`: Ctrl-C reaches both, and either's failure is xargs'.
+TRAIN ?= --scene handover
+train: export OMP_NUM_THREADS := 1
 train: $(TRAINING)
-	$(BIN)/tactilerl train --scene handover --out $(RUNS)/touch
-	$(BIN)/tactilerl train --scene handover --touch off --out $(RUNS)/no_touch
+	@printf '%s\n' "on touch" "off no_touch" | xargs -P 2 -L 1 bash -c 'set -o pipefail; \
+		$(BIN)/tactilerl train $(TRAIN) --touch $$0 --workers 1 --out "$(RUNS)/$$1" | \
+		while IFS= read -r line; do printf "%-8s  %s\n" "$$1" "$$line"; done'
 	$(BIN)/tactilerl evaluate $(RUNS)/touch
 	$(BIN)/tactilerl evaluate $(RUNS)/no_touch
+	@echo "This films the two hands:"
+	@echo "  $(BIN)/tactilerl render $(RUNS)/touch $(RUNS)/no_touch --video film.mp4"
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.
 # `make test JOBS=12` on eight.

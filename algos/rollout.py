@@ -34,6 +34,8 @@ class Episode(Generic[Obs]):
     A step that diverged is void: its observation, action and reward are not here.
     """
 
+    seed: int = 0
+    """The seed of its reset."""
     obs: list[Obs] = field(default_factory=list)
     actions: list[Array] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
@@ -77,9 +79,9 @@ class PlayEpisode(Generic[Obs]):
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = policy.explore(rng) if self.explores else None
-        episode = Episode[Obs]()
+        episode = Episode[Obs](seed=int(rng.integers(2**31)))
         try:
-            first, _ = env.reset(seed=int(rng.integers(2**31)))
+            first, _ = env.reset(seed=episode.seed)
         except FloatingPointError as error:
             episode.faults["diverged"], episode.success = 1, 0.0
             episode.info = {"error": str(error)}

@@ -1,6 +1,7 @@
 """What a fresh machine gets: the CPU build of PyTorch or nothing, and a package with all its files."""
 
 import importlib
+import re
 import subprocess
 import sys
 import zipfile
@@ -39,6 +40,19 @@ def test_the_cpu_build_of_pytorch_is_installed_or_nothing(
         assert tool.main() == 0
     wanted = [*tool.PIP, "--constraint", "c.txt", "torch"]
     assert ran == ([] if installs is None else [[*wanted, *installs]])
+
+
+def test_make_train_trains_two_hands_side_by_side_and_fails_where_one_does(tmp_path):
+    (tmp_path / "no_touch").mkdir()
+    (tmp_path / "no_touch" / "thesis.tex").write_text("")
+    short = "--scene handover --total-timesteps 1 --steps-per-epoch 1 --hidden 8 --n-passes 1"
+    variables = f"BIN={Path(sys.executable).parent}", "TRAINING=", f"RUNS={tmp_path}", f"TRAIN={short}"
+    made = subprocess.run(["make", "train", *variables], cwd=ROOT, capture_output=True, text=True)
+    assert made.returncode == 2
+    assert "no_touch' exists but is not a run folder" in made.stderr
+    assert re.search(r"^touch +Learning curve: [▁-█]  success \d+% to", made.stdout, re.MULTILINE)
+    assert "This films" not in made.stdout
+    assert (tmp_path / "touch/checkpoint.pt").is_file()
 
 
 def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path, in_tmp):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +49,8 @@ class _CommandFlags:
     touch: Literal["on", "off"] | None = None
     """Touch for the policy: on, as in training, or off (all taxels read zero); default: the run's."""
     json: bool = False
-    """Print JSON instead of a table."""
+    """Print JSON instead of a table, with what became of each episode: `render RUN --episode N` films
+    it."""
 
 
 @dataclass(frozen=True)
@@ -85,16 +87,25 @@ def main(args: list[str]) -> int:
         )
     with input_errors():
         run.validate()
-    summary = evaluation.summarise(_play(run, trained.policy, command))
+    played = _play(run, trained.policy, command)
+    summary = evaluation.summarise(played)
     about = {
         "run": str(command.run), "epoch": trained.epoch, "env_steps": trained.env_steps,
         "stochastic": command.stochastic, **({"sensors": changed} if changed else {}),
     }  # fmt: skip
     if command.json:
-        print(json.dumps(about | summary))
+        each = [
+            {"episode": number, **row, "success": _null_for_nan(row["success"])}
+            for number, row in enumerate(played)
+        ]
+        print(json.dumps(about | summary | {"each": each}))
     else:
         console.print(_table(about, summary))
     return 0
+
+
+def _null_for_nan(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str, Any]]:

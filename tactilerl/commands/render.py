@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +28,9 @@ Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: r
 examples:
   tactilerl render --env shadow --layout 1
   tactilerl render runs/X --video film.mp4
+  tactilerl render runs/X --episode 17
   tactilerl render runs/X"""
+RUN_FLAGS = "video", "episodes", "episode"
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -44,6 +47,9 @@ class RenderFlags:
     episodes: Annotated[int, "[1, inf)"] = 3
     """Number of episodes: the first ones that `evaluate` plays. Hold tests last 2 s unless
     --hold-seconds is given."""
+    episode: Annotated[int, "[0, inf)"] | None = None
+    """The one episode to show, by its number in `evaluate RUN --json`, as that plays it: with the whole
+    hold test unless --hold-seconds is given."""
     env: str = "shadow"
     """The hand in the picture."""
     out: Path = Path("grasp.png")
@@ -64,14 +70,21 @@ class RenderFlags:
         """The camera that these flags place."""
         return Camera(self.azimuth, self.elevation, self.distance)
 
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The episodes to show, by their numbers."""
+        return range(self.episodes) if self.episode is None else [self.episode]
+
 
 def main(args: list[str]) -> int:
     """Run `tactilerl render` (a scripted grasp with its taxels) or `tactilerl render RUN` (a run)."""
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
-    for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
+    for flag in ("env", "out", "pose") if read.run else RUN_FLAGS:
         if getattr(read, flag) != getattr(RenderFlags, flag):
             needed = "without" if read.run else "with"
             raise InputError(f"{flag}: allowed only {needed} a run folder")
+    if read.episode is not None and read.episodes != RenderFlags.episodes:
+        raise InputError("episode: found with episodes, allowed one of the two")
     if len(read.run) > 2:
         raise InputError(
             f"render: found {len(read.run)} runs, allowed one, or two side by side"
@@ -81,7 +94,7 @@ def main(args: list[str]) -> int:
         hold_seconds = _hold_seconds(read, scene, bool(given["hold_seconds"]))
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
         if read.video is None and len(read.run) == 1 and has_screen:
-            _watch(read.run[0], read.episodes, hold_seconds)
+            _watch(read.run[0], read.numbers, hold_seconds)
         else:
             _film(read, hold_seconds)
         return 0
@@ -97,32 +110,37 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _hold_seconds(read: RenderFlags, scene: GraspConfig, is_given: bool) -> float:
-    """Return the length of hold tests, s; a run keeps everything else of its scene."""
+def _hold_seconds(
+    read: RenderFlags, scene: GraspConfig, is_given: bool
+) -> float | None:
+    """Return the length of hold tests, s, None for the run's; a run keeps the rest of its scene."""
     usual = setup(read.env)
     if replace(scene, hold_seconds=usual.hold_seconds) != usual:
         raise InputError(
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
-    return scene.hold_seconds if is_given else render.HOLD_SECONDS
+    if is_given:
+        return scene.hold_seconds
+    return render.HOLD_SECONDS if read.episode is None else None
 
 
-def _watch(folder: Path, episodes: int, hold_seconds: float) -> None:
+def _watch(folder: Path, numbers: Sequence[int], hold_seconds: float | None) -> None:
     """Play a run's policy in a window."""
     with input_errors():
         env, play = render.staged(folder, hold_seconds, "human")
         with closing(env):
-            for number in range(episodes):
+            for number in numbers:
                 verdict = "success" if play(number) else "no success"
                 console.print(f"{folder}: {verdict}")
 
 
-def _film(read: RenderFlags, hold_seconds: float) -> None:
+def _film(read: RenderFlags, hold_seconds: float | None) -> None:
     video = read.video or Path("episodes.mp4")
     require_new(video, read.overwrite)
     with input_errors(), progress("pictures") as tick:
         for successes in render.film(
-            read.run, read.episodes, hold_seconds, read.camera, video, tick
+            read.run, read.numbers, hold_seconds, read.camera, video, tick
         ):
             verdicts = ", ".join("success" if it else "no success" for it in successes)
-            console.print(f"{video}: {verdicts} (hold tests of {hold_seconds:g} s)")
+            tests = f" (hold tests of {hold_seconds:g} s)" if hold_seconds else ""
+            console.print(f"{video}: {verdicts}{tests}")

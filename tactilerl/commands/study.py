@@ -54,6 +54,9 @@ class Run:
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
         runs, is_gpu = study.runs(), self.on == "gpu"
+        console.print(
+            f"study {study.name}: {len(runs)} runs; trying what they begin with"
+        )
         if is_gpu:
             batch.require_device()
             batches, others = batch.form(files.path.absolute(), runs)

@@ -9,10 +9,11 @@ from ..algos import mpi
 from ..errors import InputError, input_errors
 from ..files import pasted
 from ..runs.config import RunConfig
-from ..runs.store import resolve
+from ..runs.store import RunDir, resolve
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph
+from ..terminal.epochs import learning_curve
 from .scene import SceneFlag, layout_notes, require_env
 
 ABOUT = """\
@@ -55,11 +56,17 @@ def main(args: list[str]) -> int:
             notes = layout_notes(config.run.env, config.scene.layout)
     path = train(config, comm, _summary(config, usual, comm.size, notes))
     if comm.rank == 0:
-        console.print(
-            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, "
-            "config.json (all settings).\n"
-            f"  tactilerl evaluate {pasted(path)}{config.again}"
-        )
+        curve = learning_curve(RunDir(path).rows())
+        lines = [f"\nLearning curve: {curve}"] if curve else [""]
+        lines += [
+            f"The run is in {path}: progress.csv (learning curve), checkpoint.pt, "
+            "config.json (all settings).",
+            f"  tactilerl evaluate {pasted(path)}{config.again}",
+        ]
+        if config.scene:
+            film = f"tactilerl render {pasted(path)} --video film.mp4{config.again}"
+            lines.append(f"  {film}")
+        console.print("\n".join(lines))
     return 0
 
 

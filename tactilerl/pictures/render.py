@@ -96,11 +96,11 @@ class _Artist:
 
 
 def staged(
-    run: Path, hold_seconds: float, render_mode: str
+    run: Path, hold_seconds: float | None, render_mode: str
 ) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's scene, and a function that plays its policy there and returns its success.
 
-    The scene has hold tests of `hold_seconds`; the function takes the number of a start. Raise
+    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start. Raise
     InputError where the run is not of a grasping scene.
     """
     import torch
@@ -112,8 +112,10 @@ def staged(
         raise InputError(
             f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
         )
-    scene = replace(config.scene, hold_seconds=hold_seconds)
-    env: GraspEnv = replace(config, scene=scene).make_env(render_mode=render_mode)
+    if hold_seconds is not None:
+        scene = replace(config.scene, hold_seconds=hold_seconds)
+        config = replace(config, scene=scene)
+    env: GraspEnv = config.make_env(render_mode=render_mode)
     task = evaluation.task(policy)
 
     def play(number: int) -> bool:
@@ -127,7 +129,11 @@ class _Player:
     """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
     def __init__(
-        self, run: Path, hold_seconds: float, camera: Camera, tick: Callable[[], None]
+        self,
+        run: Path,
+        hold_seconds: float | None,
+        camera: Camera,
+        tick: Callable[[], None],
     ) -> None:
         self.env, self._play = staged(run, hold_seconds, "rgb_array")
         timestep = self.env.config.timestep
@@ -153,7 +159,7 @@ class _Player:
         image = self._artist.draw()
         lines = (
             f"{self.label}{outcome}",
-            f"start {self._number + 1}, successes so far: {self._successes}",
+            f"start {self._number}, successes so far: {self._successes}",
         )
         head = np.full((LINES, image.shape[1], 3), colour, np.uint8)
         for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):
@@ -164,16 +170,16 @@ class _Player:
 
 def film(
     runs: Sequence[Path],
-    episodes: int,
-    hold_seconds: float,
+    numbers: Sequence[int],
+    hold_seconds: float | None,
     camera: Camera,
     out: Path,
     tick: Callable[[], None],
 ) -> Iterator[list[bool]]:
     """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
-    Yield the success of each, episode by episode. A hold test is as long as `hold_seconds`, also for
-    its verdict. The camera follows the hand. `tick` is called after every picture. InputError when a
+    Yield the success of each, episode by episode, those of `numbers`. A hold test is as long as
+    `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand. `tick` is called after every picture. InputError when a
     run's environment is not a grasping one.
     """
     ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
@@ -191,7 +197,7 @@ def film(
         if len({player.fps for player in players}) > 1:
             raise InputError("render: found runs whose timesteps differ")
         writer = None
-        for number in range(episodes):
+        for number in numbers:
             played = [player.film(number) for player in players]
             films, successes = zip(*played, strict=True)
             if writer is None:

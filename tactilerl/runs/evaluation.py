@@ -67,12 +67,13 @@ def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:
 
 
 def row(episode: Episode[Any]) -> dict[str, Any]:
-    """Return an episode's success at its end, steps held, return, length and faults.
+    """Return an episode's seed, success at its end, steps held, return, length and faults.
 
     Success is nan where the environment has none; an episode that diverged has no success. `held` is
     the number of steps for which success had stood by the end.
     """
     return {
+        "seed": episode.seed,
         "success": episode.success,
         "held": episode.held,
         "return": sum(episode.rewards),

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import matplotlib
 from matplotlib.figure import Figure
 
-from ..style import DPI, GROUPS, HEAD, STYLE
+from ..style import DPI, GROUPS, HEAD, MORE_COLOURS, ROLES, STYLE
 from .analysis import SetupResult
+from .grid import Setup
 
 PANEL = 5.2, 3.2  # inches
 BAND: dict[str, Any] = {"alpha": 0.13, "lw": 0, "zorder": 1}  # below all curves
@@ -26,11 +27,18 @@ def title(result: SetupResult) -> str:
     )
 
 
+def colours(setup: Setup) -> dict[str, str]:
+    """Return the colour of each group: that of its touch wherever it stands, others by order."""
+    by_touch = dict(zip(ROLES, GROUPS, strict=False))
+    others = zip(setup.groups, itertools.cycle(MORE_COLOURS), strict=False)
+    return {name: by_touch.get(name, colour) for name, colour in others}
+
+
 @matplotlib.rc_context(STYLE)
 def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
     """Draw the paper's Figures 3 and 5: a panel per setting, IQM with interval and every run.
 
-    The same records give the same bytes.
+    A PNG has its title; an SVG stands below it in the report. The same records give the same bytes.
     """
     setup, steps = result.setup, result.steps
     settings = list(dict.fromkeys(setting for setting, _ in result.groups))
@@ -38,11 +46,11 @@ def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
     rows = -(-len(settings) // columns)
     figure = Figure((PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    colours = dict(zip(setup.groups, itertools.cycle(GROUPS), strict=False))
+    by_group = colours(setup)
     for panel in panels[len(settings) :]:
         panel.remove()
     for setting, panel in zip(settings, panels, strict=False):
-        for name, colour in colours.items():
+        for name, colour in by_group.items():
             if group := result.groups.get((setting, name)):
                 panel.fill_between(steps, *group.iqm_bounds.T, color=colour, **BAND)
                 panel.plot(steps, group.curves.T, color=colour, **LINE)
@@ -52,10 +60,11 @@ def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
         panel.set_title("" if setting == "all" else setting)
         panel.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
         panel.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
-    for name, colour in colours.items():
+    for name, colour in by_group.items():
         panels[0].plot([], [], color=colour, lw=2.2, label=f"{setup.label(name)}, IQM")
     figure.legend(loc="outside lower center", fontsize=8, ncols=2 * columns)
-    figure.suptitle(title(result), **HEAD)
+    if kind == "png":
+        figure.suptitle(title(result), **HEAD)
     file, volatile = io.BytesIO(), "Date" if kind == "svg" else "Software"
     figure.savefig(file, format=kind, dpi=DPI, metadata={volatile: None})
     return file.getvalue()

@@ -31,10 +31,12 @@ from ..files import no_link
 from ..runs.config import RunConfig, from_dict
 from ..runs.training import make_algorithm
 from ..terminal import interrupts
+from ..terminal.console import Tenths
 from .grid import Run
 from .records import Record, StudyFiles
 
 ATTEMPTS = 2
+LOOK_EVERY = 2.0  # s between looks at how far runs are
 WORKER_WAIT = (
     5.0  # s until busy runs are asked for again: a killed worker's run ends meanwhile
 )
@@ -145,15 +147,18 @@ def run_all(
 ) -> None:
     """Make runs done, in order; `on_end` is told each job and how it ended.
 
-    Runs that another process trains are asked for once more at the end.
+    Prints on standard error how long all of it will take, and every tenth of it. Runs that another
+    process trains are asked for once more at the end.
     """
+    look = _Watch(jobs)
     for is_last in (False, True):
         waiting = {pool.submit(make_done, job): job for job in jobs}
         busy = []
         while waiting:
             done, _ = concurrent.futures.wait(
-                waiting, return_when=concurrent.futures.FIRST_COMPLETED
+                waiting, LOOK_EVERY, concurrent.futures.FIRST_COMPLETED
             )
+            look([job.run for job in waiting.values()])
             for future in done:
                 job = waiting.pop(future)
                 ending = _ending(future, job)
@@ -164,6 +169,44 @@ def run_all(
         if busy:
             time.sleep(WORKER_WAIT)
         jobs = busy
+
+
+class _Watch:
+    """Say how long the runs of a study will take, by the steps in their tables.
+
+    The clock starts when the first of them has made an epoch: until then processes start.
+    """
+
+    def __init__(self, jobs: Sequence[Job]) -> None:
+        """Look at where `jobs` begin."""
+        goals = dict[Any, int]()
+        for job in jobs:
+            if job.run.place not in goals:
+                goals[job.run.place] = job.run.config().run.total_timesteps
+        self._goals = {job.run.name: goals[job.run.place] for job in jobs}
+        self._files = StudyFiles(jobs[0].folder) if jobs else None
+        self._done = self._steps([job.run for job in jobs])
+        self._tenths: Tenths | None = None
+
+    def __call__(self, waiting: Sequence[Run]) -> None:
+        """Print what there is to say while these runs have not ended."""
+        steps, goal = self._steps(waiting), sum(self._goals.values())
+        new, self._done = steps - self._done, steps
+        if self._tenths and new > 0:
+            self._tenths(new)
+        elif 0 < new < goal - steps:
+            self._tenths = Tenths("", goal - steps)
+
+    def _steps(self, waiting: Sequence[Run]) -> int:
+        """Return how many steps are made; what is not `waiting` any more has its whole length."""
+        steps = dict(self._goals)
+        for run in waiting:
+            rows = []
+            if self._files and self._files.run_dir(run).table.exists():
+                rows = self._files.record(run).rows
+            made = int(rows[-1]["env_steps"]) if rows else 0
+            steps[run.name] = min(made, self._goals[run.name])
+        return sum(steps.values())
 
 
 def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending:

@@ -15,7 +15,11 @@ console = Console(highlight=False, soft_wrap=True, markup=False)
 beside = Console(stderr=True, soft_wrap=True, markup=False)
 """Console on standard error, for notes that are no result."""
 COLUMNS = 100
-FIRST_ESTIMATE = 0.02  # share of the work after which its time is said
+FIRST_ESTIMATE, AT_LATEST = (
+    0.02,
+    15.0,
+)  # share of the work, and s, after which its time is said
+UNITS = {"days": 86_400, "h": 3600, "min": 60, "s": 1}
 
 
 def paragraph(label: str, text: str) -> str:
@@ -32,20 +36,26 @@ class Tenths:
     def __init__(self, what: str, total: int) -> None:
         """Say nothing before something is done: what is wrong may need no playing."""
         self._what, self._total = what, total
-        self._done, self._due = 0, FIRST_ESTIMATE
+        self._done, self._due = 0, 0.0
         self._began = time.monotonic()
 
     def __call__(self, n: int = 1) -> None:
         """Count `n` more as done."""
-        if not self._done:
+        if not self._done and self._what:
             beside.print(self._what)
         self._done += n
-        share = self._done / self._total
-        if self._due <= share < 1:
-            left = (time.monotonic() - self._began) * (1 - share) / share
-            about = f"{left / 60:.0f} min" if left > 90 else f"{left:.0f} s"
-            beside.print(f"{100 * share:.0f} %, about {about} left")
+        share, spent = self._done / self._total, time.monotonic() - self._began
+        is_known = self._due or share >= FIRST_ESTIMATE or spent >= AT_LATEST
+        if is_known and self._due <= share < 1:
+            left = about(spent * (1 - share) / share)
+            beside.print(f"{100 * share:.2g} %, about {left} left")
             self._due = int(10 * share + 1) / 10
+
+
+def about(seconds: float) -> str:
+    """Return a time as people say it: "40 s", "24 min", "3 h", "12 days"."""
+    unit = next((unit for unit in UNITS if seconds >= 1.5 * UNITS[unit]), "s")
+    return f"{seconds / UNITS[unit]:.0f} {unit}"
 
 
 @contextmanager

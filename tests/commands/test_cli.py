@@ -9,21 +9,25 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tactilerl
 import torch
 from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import plugins
+from tactilerl.pictures import render as pictures
 from tactilerl.runs import evaluation, store
 
 from one_line import fails_with, printed, python
 from states import TIMES, flat
 
+POLICIES = Path(__file__).resolve().parents[2] / "examples/policies"
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
 HER = ["train", "--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "2", "--n-batches", "4"]
@@ -64,6 +68,8 @@ class TestTrain:
         assert "6 minibatches of about 20 transitions, 2 passes: 12 updates" in out
         assert "epoch    2" in out
         assert "tactilerl evaluate run" in out
+        assert "Learning curve" not in out  # no success to show
+        assert "tactilerl render" not in out
         config = json.loads(Path("run/config.json").read_text())
         assert config["learner"]["gae_lambda"] == 0.97
         assert config["provenance"][0]["versions"]["torch"]
@@ -257,6 +263,9 @@ class TestBadInput:
             (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
             (["render", "none", "--pose", "start"], ["pose: allowed only without a run folder"]),
+            (["render", "none", "--episode", "-1"], ["episode: found -1"]),
+            (["render", "none", "--episode", "1", "--episodes", "2"], ["episode: found with episodes"]),
+            (["render", "--episode", "1"], ["episode: allowed only with a run folder"]),
             (["render", "--azimuth", "nan"], ["azimuth: found nan, allowed [-360, 360]"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
             (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
@@ -411,7 +420,7 @@ class TestOtherCommands:
             assert main(["train", *short, "--touch", touch, "--out", name]) == 0
         near = ["--distance", "0.8", "--elevation", "-10", "--episodes", "1"]
         out = render(capsys, "a", "b", *near, "--video", "x.mp4")
-        assert out.count("no success, no success") == 1
+        assert out.count("no success, no success (hold tests of 2 s)") == 1
         pictures = np.array(list(iio.imiter("x.mp4"))).astype(int)
         height, width = pictures.shape[1:3]
         touch, blind = pictures[:, :, : width // 2], pictures[:, :, width // 2 :]
@@ -419,6 +428,26 @@ class TestOtherCommands:
         # The same start, but for the hand unrolled in the corner, and the word above.
         assert np.abs(touch[0, head:-200] - blind[0, head:-200]).mean() < 3
         assert np.abs(touch[0, :head] - blind[0, :head]).mean() > 1
+        # Without a screen one run is filmed as well.
+        out = render(capsys, "a", *near[:4], "--episode", "7", "--video", "y.mp4")
+        assert out == "y.mp4: no success\n"
+
+    def test_each_episode_of_an_evaluation_can_be_played_again_and_filmed(self, capsys):
+        run, n = str(POLICIES / "handover_no_touch"), 8
+        told = json.loads(printed(capsys, ["evaluate", run, "--episodes", n, "--json"]))
+        each = told["each"]
+        assert [row["episode"] for row in each] == list(range(n))
+        assert np.mean([row["return"] for row in each]) == pytest.approx(told["mean_return"])
+        env, play = pictures.staged(Path(run), None, "rgb_array")  # as films do
+        with closing(env):
+            assert {row["success"] for row in each} == {0.0, 1.0}
+            assert [play(row["episode"]) for row in each] == [row["success"] == 1.0 for row in each]
+            policy, row = tactilerl.load_policy(run), each[0]
+            (obs, _), returned, is_over = env.reset(seed=row["seed"]), 0.0, False
+            while not is_over:
+                obs, reward, terminated, truncated, _ = env.step(policy.act(obs))
+                returned, is_over = returned + reward, terminated or truncated
+        assert returned == pytest.approx(row["return"])
 
     @pytest.mark.parametrize(
         ("flags", "seconds"), [([], 2.0), (["--hold-seconds", "20"], 20.0), (["--hold_seconds=3"], 3.0)]

@@ -1,10 +1,6 @@
 """The page of a design, in headless Chromium: its numbers are Python's, and anybody can use it."""
 
-import itertools
 import json
-import os
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +10,13 @@ from tactilerl.placement import choice, cover, page
 from tactilerl.placement.candidates import DesignFlags, Pool
 from tactilerl.placement.cover import NEVER, Starts
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+from browser import Browser, needs_chromium
+
 N_STARTS = 60
 READY = """new Promise((go) => {
     const wait = () => typeof dots === "object" && dots ? go() : setTimeout(wait, 50);
     wait();
 })"""
-MIDDLE = """(() => {
-    const node = document.querySelector('CSS');
-    node.scrollIntoView({ block: "center", inline: "center" });
-    const box = node.getBoundingClientRect();
-    return [box.x + box.width / 2, box.y + box.height / 2];
-})()"""
 TEXT = "document.getElementById('{}').textContent"
 COLOURS = """[...document.querySelectorAll("p, td, th, button, h1, label")].map((node) => {
     const look = getComputedStyle(node);
@@ -34,66 +24,9 @@ COLOURS = """[...document.querySelectorAll("p, td, th, button, h1, label")].map(
 })"""
 
 
-class Browser:
-    """Chromium with one page, spoken to over a pipe (Chrome DevTools Protocol)."""
-
-    def __init__(self, url, width):
-        read_theirs, self._write = os.pipe()
-        self._read, write_theirs = os.pipe()
-        flags = "--headless --no-sandbox --disable-gpu --remote-debugging-pipe"
-        flags += " --disable-ipc-flooding-protection"  # which drops addresses of quick clicks
-        redirected = f"exec {CHROMIUM} {flags} 3<&{read_theirs} 4>&{write_theirs}"
-        self._process = subprocess.Popen(
-            ["bash", "-c", redirected],
-            pass_fds=(read_theirs, write_theirs),
-            stderr=subprocess.DEVNULL,
-        )
-        os.close(read_theirs), os.close(write_theirs)
-        self._numbers, self._rest, self._session = itertools.count(1), b"", {}
-        target = self("Target.createTarget", url="about:blank")["targetId"]
-        session = self("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        self._session = {"sessionId": session}
-        metrics = dict(width=width, height=900, deviceScaleFactor=1, mobile=width < 500)
-        self("Emulation.setDeviceMetricsOverride", **metrics)
-        self("Page.navigate", url=url)
-        self.run(READY)
-
-    def __call__(self, method, **params):
-        number = next(self._numbers)
-        message = {"id": number, "method": method, "params": params, **self._session}
-        os.write(self._write, json.dumps(message).encode() + b"\0")
-        while True:
-            while b"\0" not in self._rest:
-                self._rest += os.read(self._read, 1 << 20)
-            answer, self._rest = self._rest.split(b"\0", 1)
-            if (answer := json.loads(answer)).get("id") == number:
-                assert "error" not in answer, answer
-                return answer["result"]
-
-    def run(self, script):
-        """The value of a script."""
-        result = self("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in result, result
-        return result["result"].get("value")
-
-    def click(self, css):
-        """Click in the middle of an element."""
-        x, y = self.run(MIDDLE.replace("CSS", css))
-        for kind in ("mousePressed", "mouseReleased"):
-            self("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
-
-    def press(self, key):
-        for kind in ("keyDown", "keyUp"):
-            self("Input.dispatchKeyEvent", type=kind, key=key)
-
-    def own(self):
-        """What the page says of the set that is shown."""
-        return json.loads(self.run("document.getElementById('results').dataset.own"))
-
-    def close(self):
-        self("Browser.close")
-        self._process.wait(10)
-        os.close(self._read), os.close(self._write)
+def own(browser):
+    """What the page says of the set that is shown."""
+    return json.loads(browser.run("document.getElementById('results').dataset.own"))
 
 
 def played(rng, n_taxels):
@@ -124,7 +57,7 @@ def design(request):
 def browser(design, tmp_path, request):
     (tmp_path / "design.html").write_bytes(page.page(design[0]))
     width = getattr(request, "param", 1000)
-    browser = Browser(f"file://{tmp_path / 'design.html'}", width)
+    browser = Browser(f"file://{tmp_path / 'design.html'}", width, READY)
     yield browser
     browser.close()
 
@@ -139,7 +72,7 @@ class TestPage:
             browser.click("#clear")
             for taxel in taxels:
                 browser.click(f'[data-taxel="{taxel}"] circle')
-            shown, expected = browser.own(), judge.row("your set", taxels)
+            shown, expected = own(browser), judge.row("your set", taxels)
             assert shown["taxels"] == n
             for key in ("success", "felt", "worst", "success_interval", "worst_interval"):
                 assert shown[key] == pytest.approx(getattr(expected, key)), (key, taxels)
@@ -148,7 +81,7 @@ class TestPage:
         browser.click("#kill")
         browser.click(f'[data-taxel="{taxels[0]}"] circle')
         starts = design.test[expected.start_closing]
-        assert browser.own()["success"] == pytest.approx(cover.value(starts, taxels[1:]))
+        assert own(browser)["success"] == pytest.approx(cover.value(starts, taxels[1:]))
         text = browser.run("layoutFile()")
         saved = layouts.load(text).place(design.pool.hand)
         assert {*saved.names} == {design.pool.skin.names[taxel] for taxel in taxels}
@@ -166,15 +99,15 @@ class TestPage:
         spacing = 6 * browser.run("document.getElementById('map').getScreenCTM().a")
         assert spacing >= 24  # px, as WCAG wants of what is tapped
         browser.click(f'[data-taxel="{design[0].pool.free[40]}"] circle')
-        assert browser.own()["taxels"] == 1
+        assert own(browser)["taxels"] == 1
         browser.click("#clear")
         browser.run("document.querySelector('#map [tabindex=\"0\"]').focus()")
         browser.press("Enter")
         browser.press("ArrowUp")
         browser.press("Enter")
-        assert browser.own()["taxels"] == 2
+        assert own(browser)["taxels"] == 2
         browser.press("k")
-        assert "1 dead" in browser.own()["layout"]
+        assert "1 dead" in own(browser)["layout"]
         assert "mm towards the tip" in browser.run("document.getElementById('spot').textContent")
         address = browser.run("location.hash")
         browser.run(f"choose([]); location.hash = '{address}'; fromAddress()")

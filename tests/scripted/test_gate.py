@@ -1,6 +1,7 @@
 """Gates: reflexes of each sense, and the sentence that is made of them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from tactilerl.envs.grasp import setup
 from tactilerl.scripted import gate, reflexes
 from tactilerl.scripted.gate import HandResult
 from tactilerl.scripted.reflexes import Reflex
-from tactilerl.terminal import flags
+from tactilerl.terminal import console, flags
 from tactilerl.terminal.console import progress
 
 from one_line import fails_with
@@ -176,3 +177,13 @@ def test_without_a_terminal_one_reads_how_far_it_is(capsys):
         for _ in range(36):
             tick()
         assert len(capsys.readouterr().err.splitlines()) == 8
+
+
+def test_the_time_of_long_work_is_said_early_and_in_a_unit_that_fits(capsys, monkeypatch):
+    monkeypatch.setattr(console, "AT_LATEST", 0.0)
+    with progress("playing", 100_000, is_long=True) as tick:
+        tick()
+        tick()
+    assert re.fullmatch(r"playing\n0.001 %, about \d+ \w+ left\n", capsys.readouterr().err)
+    times = {40: "40 s", 100: "2 min", 1500: "25 min", 4 * 3600: "4 h", 10**6: "12 days"}
+    assert {seconds: console.about(seconds) for seconds in times} == times

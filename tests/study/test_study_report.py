@@ -6,20 +6,28 @@ import re
 import shutil
 import sys
 import tarfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tactilerl import study as package
 from tactilerl.commands.cli import main
-from tactilerl.study import analysis, records, report
+from tactilerl.study import analysis, figures, records, report
+from tactilerl.study.grid import Contrast
 from tactilerl.study.records import StudyFiles
 
+from browser import Browser, needs_chromium
 from one_line import fails_with, printed
 from study_records import fail, interrupt, make_study
 
 ROOT = Path(__file__).parents[2]
 RESAMPLES = 500
+LOADED = """new Promise((go) => {
+    const isThere = () => document.readyState === "complete" && document.title;
+    const wait = () => isThere() ? go() : setTimeout(wait, 50);
+    wait();
+})"""
 
 
 @pytest.fixture(scope="module")
@@ -193,3 +201,29 @@ class TestForReaders:
     def test_p_is_corrected_once(self, written):
         table = (written.parent / "tables/pybullet_comparisons.csv").read_text().splitlines()
         assert table[0] == "Setting,Pairs,Mean success,p"
+
+    def test_a_figure_has_one_title_and_the_colour_of_touch_wherever_it_stands(self, written, result):
+        text = written.read_text()
+        for picture in parts(result, report.Picture):
+            assert text.count(f"<figcaption>{picture.title}</figcaption>") == 1
+            assert b"Learning curves" not in picture.svg
+        setup = result.setups[0].setup
+        swapped = replace(setup, compare=replace(setup.compare, treatment="off", control="on"))
+        assert swapped.groups == ["off", "on"]
+        assert figures.colours(swapped) == figures.colours(setup)
+        polyak = replace(setup, compare=Contrast("polyak", "0.9", "0.95"), grid={"polyak": [0.9, 0.95]})
+        assert not {*figures.colours(polyak).values()} & {*figures.colours(setup).values()}
+
+    @needs_chromium
+    def test_no_word_of_a_report_is_wider_than_a_phone(self, tmp_path):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        for file in folder.path.glob("runs/*/config.json"):
+            made = json.loads(file.read_text())
+            made["provenance"][0]["commit"] = 40 * "a" + "-dirty"
+            file.write_text(json.dumps(made))
+        page = report.write(analysis.analyse(*records.load(folder.path), 100), tmp_path / "r")
+        browser = Browser(page.as_uri(), 320, LOADED)
+        try:
+            assert browser.run("document.documentElement.scrollWidth") <= 320
+        finally:
+            browser.close()

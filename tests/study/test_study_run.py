@@ -15,8 +15,10 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
 from tactilerl.study import grid, jobs, records
 from tactilerl.study.records import StudyFiles
+from tactilerl.terminal import console
 
 from one_line import fails_with, printed
+from study_records import interrupt, make_study
 from tiny_study import TINY, learned, trained, write
 
 BROKEN = """
@@ -206,6 +208,25 @@ class TestFailures:
         log.write_text("tactilerl: interrupted\nTraceback\nMemoryError\n")
         assert jobs.reason(1, log, 23) == "MemoryError (exit code 1)"
         assert jobs.reason(-9, log, 0) == "killed by signal 9 (Killed)"
+
+
+def test_how_long_all_runs_take_is_said_from_their_tables(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(console, "AT_LATEST", 0.0)
+    folder = make_study(tmp_path / "s", n_seeds=1)
+    runs = folder.study().runs()[:2]
+    table = folder.run_dir(runs[0]).table
+    whole = table.read_text()
+    interrupt(folder, runs[0], rows=5)  # of 25
+    folder.run_dir(runs[1]).table.unlink()
+    look = jobs._Watch([jobs.Job(folder.path, run) for run in runs])
+    for rows, words in ((5, ""), (10, ""), (11, "2.5 %, about "), (12, ""), (15, "1")):
+        table.write_text(whole)
+        interrupt(folder, runs[0], rows)
+        look(runs)
+        said = capsys.readouterr().err
+        assert said.startswith(words) and bool(said) == bool(words)
+    look([])
+    assert capsys.readouterr().err == ""
 
 
 class TestSharing:
