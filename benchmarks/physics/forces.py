@@ -93,14 +93,15 @@ def alone(hand: str, scene: str, taxel: Taxels) -> list[float]:
 
 
 def show(known: dict[str, dict[str, Any]]) -> None:
-    """Print the errors where either of the two reads something, and how often both are above."""
+    """Print errors, and how often both are above a threshold, where either of the two reads something."""
     rows = []
     for key, row in known.items():
         rule, sensor = np.array(row["rule"]), np.array(row["mujoco"])
         felt = (rule > 0) | (sensor > 0)
-        error = (rule - sensor)[felt]
+        rule, sensor = rule[felt], sensor[felt]
+        error = rule - sensor
         alike = [f"{((rule >= t) == (sensor >= t)).mean():.2f}" for t in THRESHOLDS]
-        figures = sensor[felt].mean(), np.abs(error).mean(), error.mean()
+        figures = sensor.mean(), np.abs(error).mean(), error.mean()
         rows.append((key, int(felt.sum()), *(f"{figure:.2f}" for figure in figures), *alike))
     above = " | ".join(f"same side of {threshold:g} N" for threshold in THRESHOLDS)
     head = "readings | MuJoCo's sensor, mean, N | mean absolute error, N | mean error, N"
