@@ -93,7 +93,7 @@ def alone(hand: str, scene: str, taxel: Taxels) -> list[float]:
 
 
 def show(known: dict[str, dict[str, Any]]) -> None:
-    """Print errors where either of the two reads something, and how often both are above a threshold."""
+    """Print errors where either of the two reads something, and how often both are above a force."""
     rows = []
     for key, row in known.items():
         rule, sensor = np.array(row["rule"]), np.array(row["mujoco"])
