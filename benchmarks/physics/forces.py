@@ -93,7 +93,7 @@ def alone(hand: str, scene: str, taxel: Taxels) -> list[float]:
 
 
 def show(known: dict[str, dict[str, Any]]) -> None:
-    """Print errors where either of the two reads something, and how often both are above a force."""
+    """Print the errors, and how often both are above a force, where either of the two reads any."""
     rows = []
     for key, row in known.items():
         rule, sensor = np.array(row["rule"]), np.array(row["mujoco"])
@@ -102,7 +102,7 @@ def show(known: dict[str, dict[str, Any]]) -> None:
         error = rule - sensor
         alike = [f"{((rule >= t) == (sensor >= t)).mean():.2f}" for t in THRESHOLDS]
         figures = sensor.mean(), np.abs(error).mean(), error.mean()
-        rows.append((key, int(felt.sum()), *(f"{figure:.2f}" for figure in figures), *alike))
+        rows.append((key, len(error), *(f"{figure:.2f}" for figure in figures), *alike))
     above = " | ".join(f"same side of {threshold:g} N" for threshold in THRESHOLDS)
     head = "readings | MuJoCo's sensor, mean, N | mean absolute error, N | mean error, N"
     markdown(f"| | {head} | {above} |", rows)
