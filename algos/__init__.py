@@ -8,10 +8,13 @@ if __name__ == "algos":  # found by its folder: all of it would be there twice
 import importlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 T = TypeVar("T")
 Array = np.ndarray
@@ -70,12 +73,47 @@ class Workers(Protocol):
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return a goal environment's rewards (n,) for goals (n, goal_size)."""
 
+    def compute_terminated(
+        self, achieved_goal: Array, desired_goal: Array
+    ) -> Array | None:
+        """Return whether goals (n, goal_size) end an episode, (n,); None where nobody says."""
+
     def play(
         self,
         job: Callable[[gym.Env[Any, Any], int, Callable[[], bool]], T],
         numbers: Iterable[int],
     ) -> Iterator[T]:
         """Yield `job(env, number, is_wanted)` for `numbers`, in order; stop iterating at will."""
+
+
+class Communicator:
+    """One process on its own; `mpi.MPICommunicator` is several."""
+
+    rank = 0
+    size = 1
+    local_size = 1
+    """Ranks on this machine."""
+
+    def sum_(self, tensor: Tensor) -> None:
+        """Replace `tensor` by its sum over ranks, in place."""
+
+    def broadcast_(self, tensor: Tensor) -> None:
+        """Replace `tensor` by rank 0's, in place."""
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Elementwise sum of float64 arrays over ranks."""
+        return values
+
+    def all_gather(self, value: Any) -> list[Any]:
+        """Return the values of all ranks, in their order, on every rank."""
+        return [value]
+
+    def receive(self, value: Any) -> Iterator[Any]:
+        """Yield the values of all ranks, one after another, on rank 0; nothing on the others.
+
+        Every rank must exhaust it. Rank 0 holds no more than one of them at a time.
+        """
+        yield value
 
 
 def get(name: str) -> tuple[Any, Any]:

@@ -10,18 +10,28 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from . import Array, Count, Fraction, NotNegative, Positive32, rollout
-from .learner import Learner, LearnerConfig, restore
-from .mpi import Communicator
+from . import (
+    Array,
+    Communicator,
+    Count,
+    DivergenceError,
+    Fraction,
+    NotNegative,
+    Positive32,
+    rollout,
+)
+from .learner import Learner, LearnerConfig, RewardScale, restore
+from .mpi import same_on_all_ranks
 from .networks import MLP, flushed_denormals, require_hidden
 from .normalizer import MIN_STD, Normalizer, Scaling
 from .policy import (
@@ -106,7 +116,9 @@ class DDPGHERConfig(LearnerConfig):
     once rewards below -1 or above 0 are seen. With --normalize-rewards it follows all rewards."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
-    since baselines has no done mask; terminal: it is not.
+    since baselines has no done mask; terminal: it is not. Whether a relabelled goal ends the episode
+    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it; else it ends
+    where rewards are as high as at the ends that were seen, if those were higher than all others.
     """
     normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
@@ -224,9 +236,16 @@ class DDPGHER(Learner):
     policy_parts = ("actor", "obs_stats", "goal_stats")
     saved = (
         *policy_parts,
-        *("critic", "target_actor", "target_critic", "actor_adam", "critic_adam"),
+        *(
+            "critic",
+            "target_actor",
+            "target_critic",
+            "actor_adam",
+            "critic_adam",
+            "rewards",
+        ),
     )
-    plain = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
+    plain = ("env_steps", "updates", "cycles")
 
     def build(self, generator: torch.Generator) -> None:
         config: DDPGHERConfig = self.config
@@ -247,11 +266,10 @@ class DDPGHER(Learner):
         self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
         self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
         sizes = (self._n_obs + n_actions, *config.hidden, 1)
-        names = self.spaces.inputs(with_action=True)
-        self.critic = MLP(sizes, generator, inputs=names).to(self.device)
+        self.critic = MLP(sizes, generator).to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
         self.critic_parameters = [*self.critic.parameters()]
-        self.broadcast(self.actor, self.critic)
+        self._broadcast(self.actor, self.critic)
         self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
@@ -263,13 +281,13 @@ class DDPGHER(Learner):
             n_boolean(space),
             workers.compute_reward,
             np.random.default_rng([seed, comm.rank, rollout.LEARN]),
+            workers.compute_terminated if config.termination == "terminal" else None,
         )
         self._action_l2 = config.action_l2
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
-        # All rewards so far lie from -worst to best, in baselines from the start from -1 to 0.
-        self.worst = self.reward_scale = 0.0 if config.normalize_rewards else 1.0
-        self.best = 0.0
+        is_running = config.normalize_rewards  # else as in baselines: from -1 to 0
+        self.rewards = RewardScale(is_running, 0.0 if is_running else -1.0)
         self._largest_return = 0.0  # of the last episodes
 
     def check(self) -> None:
@@ -357,11 +375,11 @@ class DDPGHER(Learner):
         critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
         self.require_finite(means, self.actor, self.critic)
         if self.updates % CHECK_EVERY < n:
-            self.require_same(*self.actor_parameters, *self.critic_parameters)
+            self._require_same(*self.actor_parameters, *self.critic_parameters)
         return {
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
-            "mean_q": mean_q * (self.reward_scale or 1.0),
+            "mean_q": mean_q * self.rewards.unit,
             "updates": n,
         }
 
@@ -406,7 +424,7 @@ class DDPGHER(Learner):
             partial(self._actor_gradient, batch.obs),
         )
         parameters = self.actor_parameters + self.critic_parameters
-        self.sum_gradients(parameters)
+        self._sum_gradients(parameters)
         if self.config.reduction == "mean":
             for gradient in (p.grad for p in parameters if p.grad is not None):
                 gradient.div_(self.comm.size)
@@ -442,11 +460,11 @@ class DDPGHER(Learner):
         next_actions = self.target_actor(inputs)
         next_values = self.target_critic(torch.cat([inputs, next_actions], dim=1))
         terminal = batch.terminal * (config.termination == "terminal")
-        scale = self.reward_scale or 1.0
-        span = (-self.worst / scale, self.best / scale) if config.clip_target else None
-        rewards = batch.reward / scale
+        scale = self.rewards
+        unit, low, high = scale.unit, scale.lowest, scale.highest
+        span = (low / unit, high / unit) if config.clip_target else None
         return td_targets(
-            rewards, next_values.squeeze(-1), terminal, config.gamma, span
+            batch.reward / unit, next_values.squeeze(-1), terminal, config.gamma, span
         )
 
     @torch.no_grad()
@@ -464,18 +482,32 @@ class DDPGHER(Learner):
         A relabelled reward may exceed all returns that were lived. When the scale grows, the critics'
         last layers shrink, so that values in the environment's unit stay (van Hasselt et al. 2016).
         """
-        mine = (-rewards.min(), rewards.max(), self._largest_return)
-        gathered = self.comm.all_gather(mine)
-        worst, best, largest = zip((self.worst, self.best, 0.0), *gathered, strict=True)
-        self.worst, self.best = float(max(worst)), float(max(best))
-        if not self.config.normalize_rewards:
-            return
+        mine = rewards.min(), rewards.max(), self._largest_return
+        lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)
+        self.rewards.see(np.array([*lows, *highs]))
         of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
-        scale = float(max(self.worst, self.best, *largest)) / of_ones
-        if scale > self.reward_scale:
-            for critic in (self.critic, self.target_critic):
-                critic.scale_outputs(self.reward_scale / scale or 1.0)
-            self.reward_scale = scale
+        extreme = max(-self.rewards.lowest, self.rewards.highest, *largest)
+        self.rewards.grow(float(extreme) / of_ones, self.critic, self.target_critic)
+
+    def _broadcast(self, *networks: nn.Module) -> None:
+        """Give all ranks the parameters of rank 0."""
+        for network in networks:
+            for parameter in network.parameters():
+                self.comm.broadcast_(parameter)
+
+    def _sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Replace gradients by their sums over ranks: one message."""
+        if self.comm.size == 1:
+            return
+        gradients = [p.grad for p in parameters if p.grad is not None]
+        vector = parameters_to_vector(gradients)
+        self.comm.sum_(vector)
+        vector_to_parameters(vector, gradients)
+
+    def _require_same(self, *tensors: Tensor) -> None:
+        """Raise DivergenceError where the ranks have parted."""
+        if not all(same_on_all_ranks(self.comm, tensor) for tensor in tensors):
+            raise DivergenceError("the ranks' parameters differ")
 
     # -- saving ------------------------------------------------------------------------------
 

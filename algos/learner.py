@@ -5,16 +5,15 @@ from __future__ import annotations
 import copy
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, ClassVar, Self, TypeVar
 
 import torch
-from torch import Tensor, nn
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
+from torch import nn
 
-from . import DivergenceError, Workers
-from .mpi import Communicator, same_on_all_ranks
+from . import Array, Communicator, DivergenceError, Workers
+from .networks import MLP
 from .policy import Policy, Spaces, flat_size
 
 A = TypeVar("A")
@@ -131,12 +130,6 @@ class Learner(ABC):
 
     # -- shared steps of learning ------------------------------------------------------------
 
-    def broadcast(self, *networks: nn.Module) -> None:
-        """Give all ranks the parameters of rank 0."""
-        for network in networks:
-            for parameter in network.parameters():
-                self.comm.broadcast_(parameter)
-
     def adam(self, parameters: list[nn.Parameter], lr: float) -> torch.optim.Adam:
         """Return Adam (Kingma & Ba 2014) on `parameters`."""
         is_fused = self.device.type in ("cpu", "cuda")
@@ -148,15 +141,6 @@ class Learner(ABC):
         for adam in adams:
             for group in adam.param_groups:
                 group["lr"] = self.progress_remaining * group["initial_lr"]
-
-    def sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
-        """Replace gradients by their sums over ranks: one message."""
-        if self.comm.size == 1:
-            return
-        gradients = [p.grad for p in parameters if p.grad is not None]
-        vector = parameters_to_vector(gradients)
-        self.comm.sum_(vector)
-        vector_to_parameters(vector, gradients)
 
     def in_two_threads(
         self, first: Callable[[], A], second: Callable[[], B]
@@ -191,11 +175,6 @@ class Learner(ABC):
             self._warned.add(topic)
             warnings.warn(message, stacklevel=3)
 
-    def require_same(self, *tensors: Tensor) -> None:
-        """Raise DivergenceError where the ranks have parted."""
-        if not all(same_on_all_ranks(self.comm, tensor) for tensor in tensors):
-            raise DivergenceError("the ranks' parameters differ")
-
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
@@ -217,6 +196,44 @@ class Learner(ABC):
         restore({name: getattr(self, name) for name in self.saved}, state)
         for name in self.plain:
             setattr(self, name, copy.deepcopy(state[name]))
+
+
+class RewardScale:
+    """Follow the rewards of a run, and divide them by a running scale where asked.
+
+    As the scale grows, the critics' last layers shrink, so that values in the environment's unit stay
+    (PopArt, van Hasselt et al. 2016).
+    """
+
+    def __init__(self, is_running: bool, lowest: float = 0.0) -> None:
+        """Begin with rewards between `lowest` and 0."""
+        self.is_running, self.lowest, self.highest = is_running, lowest, 0.0
+        self.scale = 0.0 if is_running else 1.0  # 0 before the first reward
+
+    @property
+    def unit(self) -> float:
+        """What rewards are divided by."""
+        return self.scale or 1.0
+
+    def see(self, rewards: Array) -> None:
+        """Widen the bounds to hold these rewards (n,)."""
+        self.lowest = min(self.lowest, float(rewards.min()))
+        self.highest = max(self.highest, float(rewards.max()))
+
+    def grow(self, scale: float, *critics: MLP) -> None:
+        """Raise a running scale to this, and the critics with it; a smaller one changes nothing."""
+        if self.is_running and scale > self.scale:
+            for critic in critics:
+                critic.scale_outputs(self.scale / scale or 1.0)
+            self.scale = scale
+
+    def state_dict(self) -> dict[str, float]:
+        """Return bounds and scale."""
+        return dict(vars(self))
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Go on from what `state_dict` returned."""
+        vars(self).update(state)
 
 
 def second_thread() -> ThreadPoolExecutor:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from . import Communicator as Communicator
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -23,36 +25,6 @@ RANKS = (
     "MPI_LOCALRANKID",
 )  # set by launchers
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "MPI_LOCALNRANKS")
-
-
-class Communicator:
-    """One process on its own; `MPICommunicator` is several."""
-
-    rank = 0
-    size = 1
-    local_size = 1
-    """Ranks on this machine."""
-
-    def sum_(self, tensor: Tensor) -> None:
-        """Replace `tensor` by its sum over ranks, in place."""
-
-    def broadcast_(self, tensor: Tensor) -> None:
-        """Replace `tensor` by rank 0's, in place."""
-
-    def sum(self, values: np.ndarray) -> np.ndarray:
-        """Elementwise sum of float64 arrays over ranks."""
-        return values
-
-    def all_gather(self, value: Any) -> list[Any]:
-        """Return the values of all ranks, in their order, on every rank."""
-        return [value]
-
-    def receive(self, value: Any) -> Iterator[Any]:
-        """Yield the values of all ranks, one after another, on rank 0; nothing on the others.
-
-        Every rank must exhaust it. Rank 0 holds no more than one of them at a time.
-        """
-        yield value
 
 
 class MPICommunicator(Communicator):

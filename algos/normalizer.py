@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array
-from .mpi import Communicator
+from . import Array, Communicator
 
 MIN_STD = 0.01
 """Floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""

@@ -14,8 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, UnfitError
-from .mpi import Communicator
+from . import Array, Communicator, UnfitError
 from .networks import MLP
 from .normalizer import Normalizer, Scaling
 
@@ -45,23 +44,6 @@ class Spaces(NamedTuple):
                 if key in space.spaces
             }
         return {"": tuple(space.shape or ())}
-
-    def inputs(self, with_action: bool = False) -> list[str] | None:
-        """Return names of the entries of a flat observation, and of an action where asked.
-
-        A Box has them in its attribute `names`; entries of others go by their numbers. None where
-        none has any.
-        """
-        parts: dict[str, Any] = flat_parts(self.observation)
-        if with_action:
-            parts["action"] = self.action
-        if not any(hasattr(box, "names") for box in parts.values()):
-            return None
-        return [
-            f"{key} {name}"
-            for key, box in parts.items()
-            for name in getattr(box, "names", range(math.prod(box.shape)))
-        ]
 
     def to_json(self) -> str:
         """Return what a policy has to know: shapes of observations, bounds of actions."""
@@ -388,9 +370,7 @@ def _rows(obs: Any, n: int) -> list[Any]:
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
     """Return a policy's network with `hidden` units in its layers."""
-    return MLP(
-        network_sizes(hidden, spaces), generator, tanh=True, inputs=spaces.inputs()
-    )
+    return MLP(network_sizes(hidden, spaces), generator, tanh=True)
 
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:

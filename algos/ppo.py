@@ -8,6 +8,7 @@ PPO-for-Beginners (Yu 2023), the code that the paper used: whole episodes, GAE w
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from . import Array, Count, Fraction, Positive32, rollout
-from .learner import Learner, LearnerConfig, restore
-from .mpi import Communicator
+from . import Array, Communicator, Count, Fraction, Positive32, rollout
+from .learner import Learner, LearnerConfig, RewardScale, restore
 from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
 from .normalizer import Normalizer
 from .policy import (
@@ -40,16 +40,13 @@ from .rollout import (
     discounted,
     finite,
     largest_return,
-    play_steps,
     require_transitions,
     summary,
 )
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
-SILENCE_P = (
-    0.2  # failures that were less likely than this for the policy before are undone
-)
+MAX_GROWTH = 10.0  # of the values of a new critic; beyond returns, too, it has diverged
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -72,7 +69,7 @@ class PPOConfig(LearnerConfig):
     clip_range: Positive32 = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: Count = 1000
-    """Minimum number of environment steps per epoch, over all processes; episodes are played to
+    """Minimum number of environment steps per epoch; episodes are played to
     their end. (Stable-Baselines3: n_steps.)"""
     n_passes: Count = 80
     """Passes over the batch per epoch (paper: updates per epoch; Stable-Baselines3: n_epochs)."""
@@ -202,7 +199,7 @@ class Surrogate(NamedTuple):
     """True where the ratio is outside the clip range."""
 
 
-def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
+def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: Any) -> Surrogate:
     """Return the clipped objective from log ratios and advantages (n,) (Schulman et al. 2017, eq. 7).
 
     Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any clip range; what
@@ -212,6 +209,71 @@ def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surro
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
     loss = -torch.minimum(ratio * advantages, clipped * advantages)
     return Surrogate(loss, (ratio - 1 - log_ratio).detach(), clipped != ratio)
+
+
+class ActorLoss(NamedTuple):
+    """Hold means over a minibatch, ()."""
+
+    policy_loss: Tensor
+    kl: Tensor
+    clip_fraction: Tensor
+
+
+Verdict = Literal["learn", "wait", "undo"]
+
+
+class Silence:
+    """Judge whether the last update is to blame that every episode fails alike.
+
+    It counts episodes by their returns: those that failed, with the lowest return of an epoch in which
+    returns differed, and all others. Both fade by `KEEP` from one update to the next, so they speak of
+    the last five or so. An update is undone once as many failures in a row as came since had a
+    probability below `LEVEL` before it: for a success rate between 0 and 1 that the counts leave
+    uncertain (Beta distribution, Jeffreys' prior). So of updates that change nothing, about one in
+    fifty is undone. After that, nothing is judged until there is another update.
+    """
+
+    LEVEL, KEEP, PRIOR = 0.02, 0.8, 0.5
+
+    def __init__(self) -> None:
+        self.failure = -math.inf  # the return of a failure; -inf until returns differed
+        self.failed = self.others = 0.0  # episodes before the last update
+        self.failed_since = 0  # all episodes since
+        self.can_undo = False
+
+    def judge(self, returns: Sequence[float]) -> Verdict:
+        """Return what an epoch's returns say: learn from it, or not, or undo the last update, too."""
+        lowest, highest, n = min(returns), max(returns), len(returns)
+        if lowest == highest == self.failure or highest < self.failure:
+            return self._judge_failures(n)
+        if lowest == highest and self.failure == -math.inf:
+            return "learn"  # nobody knows yet what a failure is
+        if lowest < highest and lowest != self.failure:
+            self.failure, self.failed, self.others, self.failed_since = lowest, 0, 0, 0
+        failed = returns.count(self.failure)
+        self.failed = self.KEEP * self.failed + self.failed_since + failed
+        self.others = self.KEEP * self.others + n - failed
+        self.failed_since, self.can_undo = 0, True
+        return "learn"
+
+    def _judge_failures(self, n: int) -> Verdict:
+        self.failed_since += n
+        failed, others = self.failed + self.PRIOR, self.others + self.PRIOR
+        # Beta function of (failed + failed_since, others) over that of (failed, others).
+        log_p = math.lgamma(failed + self.failed_since) + math.lgamma(failed + others)
+        log_p -= math.lgamma(failed + self.failed_since + others) + math.lgamma(failed)
+        if not self.can_undo or log_p >= math.log(self.LEVEL):
+            return "wait"
+        self.failed_since, self.can_undo = 0, False  # these were the undone policy's
+        return "undo"
+
+    def state_dict(self) -> dict[str, float]:
+        """Return what it has counted."""
+        return dict(vars(self))
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Go on counting from what `state_dict` returned."""
+        vars(self).update(state)
 
 
 class Transitions(NamedTuple):
@@ -229,49 +291,40 @@ class PPO(Learner):
     """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    saved = (*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam")
-    plain = (
-        "env_steps",
-        "epochs",
-        "before_update",
-        "failure",
-        "failure_share",
-        "failures",
-        "reward_scale",
-        "lowest_reward",
-        "highest_reward",
+    acting = ("actor", "gaussian", "actor_adam", "std_adam")
+    saved = (
+        *(*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam"),
+        *("silence", "rewards"),
     )
+    plain = ("env_steps", "epochs", "before_update", "first_values")
+    plain += ("lowest_return", "highest_return")
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
-        names = self.spaces.inputs()
-        self.actor, self.gaussian, self.obs_stats = _policy_parts(
-            config, self.spaces, generator
-        )
-        self.critic = MLP((self._n_obs, *config.hidden, 1), generator, inputs=names)
+        if self.comm.size > 1:
+            raise ValueError(
+                f"ranks: found {self.comm.size} with ppo, allowed 1; without mpirun, --workers plays "
+                "on many cores"
+            )
+        parts = _policy_parts(config, self.spaces, generator)
+        self.actor, self.gaussian, self.obs_stats = parts
+        self.critic = MLP((self._n_obs, *config.hidden, 1), generator)
         if config.orthogonal_init:
-            start_orthogonal(self.actor, ACTOR_GAIN, generator, names)
-            start_orthogonal(self.critic, 1.0, generator, names)
+            start_orthogonal(self.actor, ACTOR_GAIN, generator)
+            start_orthogonal(self.critic, 1.0, generator)
         for network in (self.actor, self.gaussian, self.critic):
             network.to(self.device)
-        self.actor_parameters = [*self.actor.parameters()]
-        std_parameters = [*self.gaussian.parameters()]
-        self.std_adam = self.adam(std_parameters, config.std_lr or config.actor_lr)
-        if config.exploration == "learned":
-            self.actor_parameters += std_parameters
-        self.critic_parameters = [*self.critic.parameters()]
         self.gaussian.requires_grad_(config.exploration == "learned")
-        self.broadcast(self.actor, self.critic)
+        stds, std_lr = [*self.gaussian.parameters()], config.std_lr or config.actor_lr
         self.actor_adam = self.adam([*self.actor.parameters()], config.actor_lr)
-        self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
+        self.std_adam = self.adam(stds, std_lr)
+        self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
         self.epochs, self._episodes = 0, list[Episode[Array]]()
-        # Of the last epoch whose episodes differed: the actor before its update (empty before any
-        # did), the lowest return, and the share of episodes that had it.
-        self.before_update: dict[str, Any] = {}
-        self.failure, self.failure_share = 0.0, 1.0
-        self.failures = 0  # episodes since then, all with that return
-        self.reward_scale = 0.0 if config.normalize_rewards else 1.0
-        self.lowest_reward = self.highest_reward = 0.0  # of all so far, 0 included
+        self.silence = Silence()
+        self.before_update: dict[str, Any] = {}  # states of `acting`
+        self.rewards = RewardScale(config.normalize_rewards)
+        self.lowest_return = self.highest_return = 0.0  # of all episodes, 0 included
+        self.first_values = 0.0  # how far those of the new critic reach
 
     def describe(self) -> str:
         config = self.config
@@ -289,14 +342,17 @@ class PPO(Learner):
         )
 
     def collect(self) -> dict[str, float]:
-        """Play whole episodes until `steps_per_epoch` are there: the same ones on all ranks."""
-        config = self.config
-        if config.anneal_lr:
+        """Play whole episodes until `steps_per_epoch` are there."""
+        if self.config.anneal_lr:
             self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
-        job = PlayEpisode[Array](
-            self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs)
-        )
-        episodes = play_steps(self.workers, job, config.steps_per_epoch, self.comm)
+        key = (self.seed, 0, rollout.TRAIN, self.epochs)
+        job, episodes = PlayEpisode[Array](self.policy(), key), list[Episode[Array]]()
+        missing = self.config.steps_per_epoch
+        for episode in self.workers.play(job, itertools.count()):
+            episodes.append(episode)
+            missing -= max(1, len(episode))  # so this ends where all diverge at once
+            if missing <= 0:
+                break
         self._episodes = require_transitions(episodes)
         self.epochs += 1
         stats = summary(episodes)
@@ -306,210 +362,173 @@ class PPO(Learner):
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
-        """Take `n_passes` over the batch in shuffled minibatches, of which each rank computes a part.
+        """Take `n_passes` over the batch in shuffled minibatches.
 
         Actor and critic share nothing that is learned: each has its own loop, and its own thread
         where there are two cores. In a silent epoch, only the critic is updated.
         """
         config, batch = self.config, self._batch()
         n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
-        is_silent, undone = (
-            self._look_at_returns() if config.undo_silent else (False, 0)
-        )
-        # The same order on all ranks.
+        verdict = self._look_at_returns() if config.undo_silent else "learn"
+        is_silent = verdict != "learn"
         rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])
-        sums, n_updates = torch.zeros(4, device=self.device), 0
+        actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
             for _ in range(config.n_passes):
                 order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
                 minibatches = order.tensor_split(n_minibatches)
-                actor_stats, value_losses = self.in_two_threads(
-                    partial(
-                        self._update_actor, batch, () if is_silent else minibatches
-                    ),
+                for_actor = () if is_silent else minibatches
+                of_actor, of_critic = self.in_two_threads(
+                    partial(self._update_actor, batch, for_actor),
                     partial(self._update_critic, batch, minibatches),
                 )
-                sums += torch.cat([actor_stats.sum(dim=0), value_losses.sum()[None]])
-                n_updates += n_minibatches
+                actor_losses += of_actor
+                value_losses += of_critic
                 if config.target_kl is None or is_silent:
                     continue
-                if self._over_ranks(actor_stats[-1])[1] > config.target_kl:
+                if of_actor[-1].kl.item() > config.target_kl:
                     break
-        means = self._over_ranks(sums / n_updates)
-        self.require_finite(means, self.actor, self.gaussian, self.critic)
-        self.require_same(*self.actor_parameters, *self.critic_parameters)
-        self.require_same(torch.from_numpy(self.obs_stats.mean))
-        self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
-        policy_loss, kl, clipped, value_loss = means
-        return {
-            "policy_loss": policy_loss,
-            "value_loss": value_loss,
-            "kl": kl,
-            "clip_fraction": clipped,
-            "action_std": float(self.gaussian.std().mean()),
-            "undone": undone,
-            "updates": n_updates,
+        losses = ActorLoss(*(torch.zeros(1),) * 3)
+        if actor_losses:
+            losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
+        learned = {
+            "policy_loss": losses.policy_loss.mean().item(),
+            "value_loss": torch.stack(value_losses).mean().item(),
+            "kl": losses.kl.mean().item(),
+            "clip_fraction": losses.clip_fraction.mean().item(),
         }
-
-    def _over_ranks(self, stats: Tensor) -> list[float]:
-        """Return the sums over all ranks."""
-        sums: list[float] = self.comm.sum(stats.cpu().double().numpy()).tolist()
-        return sums
+        self.require_finite([*learned.values()], self.actor, self.gaussian, self.critic)
+        self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
+        return learned | {
+            "action_std": float(self.gaussian.std().mean()),
+            "undone": int(verdict == "undo"),
+            "updates": len(value_losses),
+        }
 
     def _update_actor(
         self, batch: Transitions, minibatches: Sequence[Tensor]
-    ) -> Tensor:
-        """Take an Adam step on the clipped objective of each minibatch, given as rows of the batch.
-
-        Returns this rank's share of policy loss, KL estimate and clipped fraction, (minibatches, 3).
-        """
-        stats = [torch.zeros(0, 3, device=self.device)]
+    ) -> list[ActorLoss]:
+        """Take an Adam step on the clipped objective of each minibatch, given as rows of the batch."""
+        losses = []
+        parameters = [*self.actor.parameters()]
+        if self.config.exploration == "learned":
+            parameters += self.gaussian.parameters()
         for rows in minibatches:
-            mine = rows.tensor_split(self.comm.size)[self.comm.rank]
-            mean = self.actor(batch.obs[mine])
-            log_ratio = (
-                self.gaussian.log_prob(batch.actions[mine], mean) - batch.log_prob[mine]
+            log_prob = self.gaussian.log_prob(
+                batch.actions[rows], self.actor(batch.obs[rows])
             )
             result = surrogate(
-                log_ratio, batch.advantages[mine], self.config.clip_range
+                log_prob - batch.log_prob[rows],
+                batch.advantages[rows],
+                self.config.clip_range,
             )
+            loss = result.loss.mean()
             self.actor_adam.zero_grad()
             self.std_adam.zero_grad()
-            loss = result.loss.sum() / len(rows)
             loss.backward()  # type: ignore[no-untyped-call]
-            self.sum_gradients(self.actor_parameters)
-            nn.utils.clip_grad_norm_(self.actor_parameters, self.config.max_grad_norm)
+            nn.utils.clip_grad_norm_(parameters, self.config.max_grad_norm)
             self.actor_adam.step()
             self.std_adam.step()
-            parts = torch.stack([result.loss.detach(), result.kl, result.is_clipped])
-            stats.append(parts.sum(dim=1)[None] / len(rows))
-        return torch.cat(stats)
+            clipped = result.is_clipped.float().mean()
+            losses.append(ActorLoss(loss.detach(), result.kl.mean(), clipped))
+        return losses
 
     def _update_critic(
         self, batch: Transitions, minibatches: Sequence[Tensor]
-    ) -> Tensor:
-        """Take an Adam step on the critic's squared error over each minibatch.
-
-        Returns this rank's share of the value loss, (minibatches,).
-        """
-        losses = []
+    ) -> list[Tensor]:
+        """Take an Adam step on the critic's squared error over each minibatch; return the errors."""
+        losses, parameters = [], [*self.critic.parameters()]
         for rows in minibatches:
-            mine = rows.tensor_split(self.comm.size)[self.comm.rank]
-            values = self.critic(batch.obs[mine]).squeeze(-1)
-            loss = (values - batch.returns[mine]).square().sum() / len(rows)
+            values = self.critic(batch.obs[rows]).squeeze(-1)
+            loss = (values - batch.returns[rows]).square().mean()
             self.critic_adam.zero_grad()
             loss.backward()
-            self.sum_gradients(self.critic_parameters)
-            nn.utils.clip_grad_norm_(self.critic_parameters, self.config.max_grad_norm)
+            nn.utils.clip_grad_norm_(parameters, self.config.max_grad_norm)
             self.critic_adam.step()
             losses.append(loss.detach())
-        return torch.stack(losses)
+        return losses
 
-    def _look_at_returns(self) -> tuple[bool, int]:
-        """Return whether this epoch says nothing to the actor, and how many updates were undone.
-
-        An epoch is silent where all episodes fail alike: their returns are the same, and no better
-        than the worst of the last epoch in which they differed. If a share p of the episodes failed
-        then, n failures in a row had a probability of p^n. Once this is below `SILENCE_P`, the actor
-        goes back to the policy of that epoch. Before any epoch differed, and where all episodes
-        succeed, there is nothing to undo.
-        """
+    def _look_at_returns(self) -> Verdict:
+        """Return what the epoch's returns say of the last update, and take it back if they do."""
         # Returns of episodes that the physics cut off say nothing.
         whole = [e for e in self._episodes if not e.faults["diverged"]]
-        returns = [sum(episode.rewards) for episode in whole]
-        if not returns:
-            return False, 0
-        parts: dict[str, Any] = {
-            "actor": self.actor,
-            "gaussian": self.gaussian,
-            "actor_adam": self.actor_adam,
-            "std_adam": self.std_adam,
-        }
-        lowest = min(returns)
-        if lowest < max(returns):
-            states = {name: part.state_dict() for name, part in parts.items()}
+        verdict = (
+            self.silence.judge([sum(e.rewards) for e in whole]) if whole else "learn"
+        )
+        acting = {name: getattr(self, name) for name in self.acting}
+        if verdict == "learn" and self.silence.can_undo:
+            states = {name: part.state_dict() for name, part in acting.items()}
             self.before_update = copy.deepcopy(states)
-            self.failure, self.failures = lowest, 0
-            self.failure_share = returns.count(lowest) / len(returns)
-            return False, 0
-        if not self.before_update or lowest > self.failure:
-            return False, 0
-        self.failures += len(returns)
-        if self.failure_share**self.failures >= SILENCE_P:
-            return True, 0
-        restore(parts, self.before_update)
-        self.failures = 0
-        return True, 1
+        elif verdict == "undo":
+            restore(acting, self.before_update)
+        return verdict
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
         config, episodes = self.config, self._episodes
-        self._update_reward_scale()
-        scale = self.reward_scale or 1.0
-        views = [obs for episode in episodes for obs in episode.obs]
-        all_obs = FlatInputs(self.obs_stats.scaling()).stack(views).to(self.device)
-        all_values = self.critic(all_obs).squeeze(-1).cpu().double().numpy()
+        largest = max(largest_return(e.rewards, config.gamma) for e in episodes)
+        self.rewards.grow(largest, self.critic)
+        inputs = FlatInputs(self.obs_stats.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
-        is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
-        by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
+        obs = [inputs.stack(episode.obs).to(self.device) for episode in episodes]
+        values = [self.critic(seen).squeeze(-1).cpu().double().numpy() for seen in obs]
+        learned = np.concatenate([each[:-1] for each in values])
+        self._warn_of_divergence(learned * self.rewards.unit)
         # No value of a last observation is ever learned. Where it is like no other, as with time in
         # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
-        lowest, highest = all_values[~is_last].min(), all_values[~is_last].max()
+        lowest, highest = learned.min(), learned.max()
         advantages = []
-        for episode, values in zip(episodes, by_episode, strict=True):
-            goes_on = self._goes_on(episode)
-            last_value = np.clip(values[-1], lowest, highest) if goes_on else 0.0
-            rewards = np.array(episode.rewards) / scale
-            advantages.append(
-                gae(rewards, values[:-1], last_value, config.gamma, config.gae_lambda)
+        for episode, each in zip(episodes, values, strict=True):
+            last_value = (
+                np.clip(each[-1], lowest, highest) if self._goes_on(episode) else 0.0
             )
-        self._warn_of_divergence(all_values * scale)
+            rewards = np.array(episode.rewards) / self.rewards.unit
+            advantages.append(
+                gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
+            )
         advantage = np.concatenate(advantages)
-        returns = finite(advantage + all_values[~is_last], "a return")
-        obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
+        returns = finite(advantage + learned, "a return")
         taken = np.concatenate([np.stack(episode.actions) for episode in episodes])
         actions, normalized, target = (
-            torch.from_numpy(values.astype(np.float32)).to(self.device)
-            for values in (taken, normalize(advantage), returns)
+            torch.from_numpy(column.astype(np.float32)).to(self.device)
+            for column in (taken, normalize(advantage), returns)
         )
+        acted_on = torch.cat([seen[:-1] for seen in obs])
         # Of the actor that played; where it is then undone, this epoch does not update it.
-        log_prob = self.gaussian.log_prob(actions, self.actor(obs))
-        return Transitions(obs, actions, log_prob, normalized, target)
-
-    def _update_reward_scale(self) -> None:
-        """Raise the scale of rewards to the largest return so far; it is 0 before the first reward.
-
-        The critic's last layer shrinks as it grows, so that values in the environment's unit stay
-        (PopArt, van Hasselt et al. 2016).
-        """
-        if not self.config.normalize_rewards:
-            return
-        gamma = self.config.gamma
-        largest = max(largest_return(e.rewards, gamma) for e in self._episodes)
-        if largest > self.reward_scale:
-            self.critic.scale_outputs((self.reward_scale / largest) or 1.0)
-            self.reward_scale = largest
+        log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
+        return Transitions(acted_on, actions, log_prob, normalized, target)
 
     def _warn_of_divergence(self, values: Array) -> None:
-        """Warn where the critic's values (n,) are beyond any return of the rewards seen so far."""
-        rewards = [reward for episode in self._episodes for reward in episode.rewards]
-        self.lowest_reward = min(self.lowest_reward, *rewards)
-        self.highest_reward = max(self.highest_reward, *rewards)
-        # A return is at most the largest reward, divided by this.
-        one_minus_gamma = 1.0 - self.config.gamma
-        if one_minus_gamma == 0.0:
-            return
-        low, high = (
-            self.lowest_reward / one_minus_gamma,
-            self.highest_reward / one_minus_gamma,
-        )
-        margin = high - low  # what a critic may be off by without having diverged
-        if values.min() < low - margin or values.max() > high + margin:
+        """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
+
+        Where more would have followed an episode, it could have been the largest reward forever. New
+        critics are off by what their weights give them, and nothing is known before the first reward.
+        """
+        gamma, reach = self.config.gamma, float(np.abs(values).max())
+        self.first_values = self.first_values or reach / self.rewards.unit
+        for episode in self._episodes:
+            self.rewards.see(np.array(episode.rewards))
+        for episode in self._episodes:
+            for extreme in (self.rewards.lowest, self.rewards.highest):
+                rest = 0.0
+                if extreme and self._goes_on(episode):
+                    rest = (
+                        extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
+                    )
+                returns = discounted([*episode.rewards, rest], gamma)
+                self.lowest_return = min(self.lowest_return, *returns)
+                self.highest_return = max(self.highest_return, *returns)
+        low, high = self.lowest_return, self.highest_return
+        margin = high - low + MAX_GROWTH * self.first_values * self.rewards.unit
+        if (
+            low < high
+            and not low - margin <= values.min() <= values.max() <= high + margin
+        ):
             self.warn_once(
                 "values",
                 f"the critic's values reach from {values.min():.3g} to {values.max():.3g}, but "
-                f"returns of the rewards seen lie between {low:.3g} and {high:.3g}: it has diverged",
+                f"returns of the episodes seen lie between {low:.3g} and {high:.3g}: it has diverged",
             )
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
@@ -536,10 +555,9 @@ class PPO(Learner):
 def _policy_parts(
     config: PPOConfig, spaces: Spaces, generator: torch.Generator
 ) -> tuple[MLP, Gaussian, Normalizer]:
-    """Return what a policy is made of, before anything was learned; the same on all ranks."""
+    """Return what a policy is made of, before anything was learned."""
     actor = new_actor(config.hidden, spaces, generator)
     gaussian = Gaussian(action_size(spaces.action), config.action_variance)
-    # Episodes are the same on all ranks, so their moments need no message.
     stats = input_stats(
         spaces.observation,
         Communicator(),

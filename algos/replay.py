@@ -13,6 +13,7 @@ from . import Array
 from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
+Ends = Callable[[Array, Array], Array | None]
 Values = TypeVar("Values")
 
 
@@ -35,7 +36,7 @@ class Batch(NamedTuple, Generic[Values]):
     """Rewards (n,)."""
     next_obs: Values
     terminal: Values
-    """1 where the episode was terminated by this transition, else 0, (n,)."""
+    """1 where this transition ends the episode, with its goal, else 0, (n,)."""
 
 
 class Replay:
@@ -54,8 +55,11 @@ class Replay:
         n_boolean: int,
         reward: Reward,
         rng: np.random.Generator,
+        ends: Ends | None = None,
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
+
+        Without `ends`, a new goal leaves the episode's end as it was.
 
         Raises ValueError when not a single episode has room.
         """
@@ -65,7 +69,7 @@ class Replay:
             )
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
         self.sizes, self.n_boolean = sizes, n_boolean
-        self.reward, self.rng = reward, rng
+        self.reward, self.rng, self.ends = reward, rng, ends
         self.n_episodes = 0
         self._rows = max_steps + 1
         self._columns: dict[str, Array] = {}
@@ -135,9 +139,8 @@ class Replay:
         for episode in episodes:
             is_full = self.n_episodes == self.n_slots
             slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-            self._put(slot, self._as_columns(episode))
+            self.put(slot, self._as_columns(episode))
             slots[slot] = None
-        self._unsaved |= slots
         return np.array([*slots], np.int64)
 
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
@@ -158,7 +161,8 @@ class Replay:
             "terminal": np.pad([[episode.terminated]], ((n_steps - 1, 1), (0, 0))),
         }
 
-    def _put(self, slot: int, columns: dict[str, Array]) -> None:
+    def put(self, slot: int, columns: dict[str, Array]) -> None:
+        """Write the rows of an episode, by column, into a slot."""
         if (
             not self._columns
         ):  # zeros are given out page by page, when they are written to
@@ -172,6 +176,17 @@ class Replay:
             self._columns[name][first : first + n_rows] = values
         self._lengths[slot] = n_rows - 1
         self.n_episodes = max(self.n_episodes, slot + 1)
+        self._unsaved[slot] = None
+
+    def episode(self, slot: int) -> dict[str, Array]:
+        """Return the rows of the episode in a slot, by column, as `put` takes them."""
+        rows = slice(
+            slot * self._rows, slot * self._rows + int(self._lengths[slot]) + 1
+        )
+        columns = {name: values[rows] for name, values in self._columns.items()}
+        boolean = columns.pop("boolean")
+        columns["obs"] = np.concatenate([columns["obs"], boolean], axis=1)
+        return columns
 
     def _split(self, obs: Array) -> dict[str, Array]:
         """Return observations (n, size) as they are stored: floats, and bytes at their end.
@@ -209,15 +224,50 @@ class Replay:
         row = first + t
         goal = self._columns["desired"][row]
         goal[is_relabelled] = self._columns["achieved"][(first + future)[is_relabelled]]
-        reward = self.reward(self._columns["achieved"][row + 1], goal)
+        achieved = self._columns["achieved"][row + 1]
+        reward = np.asarray(self.reward(achieved, goal), np.float32)
+        terminal = self._columns["terminal"][row, 0].astype(bool)
+        terminal = self._terminal(achieved, goal, reward, terminal, is_relabelled)
         return Batch(
             obs=self._observations(row),
             goal=goal,
             action=self._columns["action"][row],
-            reward=np.asarray(reward, np.float32),
+            reward=reward,
             next_obs=self._observations(row + 1),
-            terminal=self._columns["terminal"][row, 0].astype(np.float32),
+            terminal=terminal.astype(np.float32),
         )
+
+    def _terminal(
+        self,
+        achieved: Array,
+        goal: Array,
+        reward: Array,
+        was_terminal: Array,
+        is_relabelled: Array,
+    ) -> Array:
+        """Return whether transitions end the episode, for a new goal where it is relabelled.
+
+        The environment says it; else rewards do, where with their own goals all transitions that ended
+        had higher ones than all that did not. Otherwise the goal is taken to have no part in it.
+        """
+        if self.ends is None:
+            return was_terminal
+        ends = self.ends(achieved[is_relabelled], goal[is_relabelled])
+        if ends is None:
+            slots = np.arange(self.n_episodes)
+            rows = slots * self._rows + self._lengths[slots] - 1
+            rows = rows[self._columns["terminal"][rows, 0] == 1]
+            at_end = self._columns["achieved"][rows + 1], self._columns["desired"][rows]
+            lowest = (
+                np.min(self.reward(*at_end), initial=np.inf) if len(rows) else np.inf
+            )
+            others = reward[~is_relabelled & ~was_terminal]
+            if not len(others) or lowest <= others.max():
+                return was_terminal
+            ends = reward[is_relabelled] >= lowest
+        terminal = was_terminal.copy()
+        terminal[is_relabelled] = ends
+        return terminal
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
@@ -272,7 +322,8 @@ class Replay:
             columns["obs"] = np.concatenate(
                 [columns["obs"], columns.pop("boolean")], axis=1
             )
-            self._put(int(slot), columns)
+            self.put(int(slot), columns)
+            del self._unsaved[int(slot)]  # it is saved
 
 
 def _short(rewards: Array) -> str:

@@ -6,17 +6,15 @@ anywhere, in any order, side by side.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
-from . import Array, DivergenceError, UnfitError, Workers
-from .mpi import Communicator
+from . import Array, Communicator, DivergenceError, UnfitError, Workers
 from .policy import FLOAT32_MAX, Policy
 
 Obs = TypeVar("Obs")
@@ -152,43 +150,6 @@ def play_episodes(
             require_transitions(episodes[-MAX_FAILURES:])
         episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
     return episodes
-
-
-def play_steps(
-    workers: Workers, job: PlayEpisode[Obs], steps: int, comm: Communicator
-) -> list[Episode[Obs]]:
-    """Return episodes 0, 1, 2, ... in order of number until they have `steps` transitions.
-
-    It is the same list on every rank, and on any number of ranks.
-
-    An episode that diverged at once counts as a step, so this ends.
-    """
-    if comm.size == 1:
-        return _first(workers.play(job, itertools.count()), steps)
-    episodes: list[Episode[Obs]] = []
-    while (missing := steps - sum(map(_weight, episodes))) > 0:
-        done = len(episodes)
-        length = sum(map(_weight, episodes)) / done if done else steps
-        last = done + math.ceil(missing / length / comm.size) * comm.size
-        mine = list(workers.play(job, range(done + comm.rank, last, comm.size)))
-        by_rank = comm.all_gather(mine)
-        episodes += [by_rank[i % comm.size][i // comm.size] for i in range(last - done)]
-    return _first(episodes, steps)
-
-
-def _first(episodes: Iterable[Episode[Obs]], steps: int) -> list[Episode[Obs]]:
-    """Return the first of them that have `steps` together."""
-    taken: list[Episode[Obs]] = []
-    for episode in episodes:
-        taken.append(episode)
-        steps -= _weight(episode)
-        if steps <= 0:
-            break
-    return taken
-
-
-def _weight(episode: Episode[Any]) -> int:
-    return max(1, len(episode))
 
 
 def summary(

@@ -6,14 +6,20 @@ python -m benchmarks figures
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from tactilerl.envs import hands, layouts
-from tactilerl.pictures.hand_map import TaxelMap
+from tactilerl.envs import hands, layouts, scenes
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.simulators import Camera
+from tactilerl.files import replacing
+from tactilerl.pictures import render
+from tactilerl.pictures.hand_map import TaxelMap, save_picture
+from tactilerl.scripted import reflexes
 from tactilerl.study.analysis import analyse
 from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, STYLE
@@ -22,6 +28,8 @@ from benchmarks.command import DOCS, no_flags
 from benchmarks.studies import setups_study, study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
+GRASPS = [("shadow", "mujoco"), ("mpl", "mujoco"), ("mpl", "pybullet"), ("allegro", "mujoco")]
+CLOSES = 4  # actions before the object is let go, and after, in which a hand closes around it
 # Collected study: its set-ups whose curves are drawn, and the pictures.
 STUDIES = {
     "learners": {"ppo": "learning_shadow_ppo"},
@@ -54,6 +62,29 @@ def unrolled(picture: str, hand: str, names: Sequence[str], rows: int, title: st
     save(figure, picture)
 
 
+def grasps() -> None:
+    """Draw each hand in a scripted grasp."""
+    for hand, simulator in GRASPS:
+        scene, out = setup(hand, simulator=simulator, layout="1"), IMAGES / f"{hand}_{simulator}.png"
+        render.picture(hand, scene, "grasp", Camera(), out)
+
+
+def handover(name: str) -> None:
+    """Draw a hand that closes around what the giver presses against it."""
+    named = scenes.load(name)
+    config = setup(named.env, **named.on(named.env))
+    with closing(GraspEnv(named.env, config, render_mode="rgb_array")) as env:
+        env.reset(seed=0)
+        [opened], [closed] = reflexes.parts(env, 1.0, np.zeros(2))
+        for step in range(env.task.sets_off + env.task.stays + CLOSES):
+            env.step_to(opened if step < env.task.sets_off + env.task.stays - CLOSES else closed)
+        state = env.simulator.state()
+        middle = (state.palm + state.object_position) / 2
+        picture = env.picture(Camera(azimuth=0.0, elevation=-8.0, lookat=tuple(middle.tolist())))
+        with replacing(IMAGES / f"{name}.png") as file:
+            save_picture(picture, file, ".png")
+
+
 def save(figure: plt.Figure, name: str) -> None:
     """Save a figure as PNG on white, which dark pages show as a card."""
     figure.savefig(IMAGES / f"{name}.png", dpi=DPI, metadata={"Software": None})
@@ -66,6 +97,9 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         unrolled("layouts", "shadow", [*layouts.PAPER], 2, "Shadow Hand: the paper's six layouts")
         unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: four chosen taxels, and layout 1")
+        grasps()
+        for name in ("handover", "handover_fingers"):
+            handover(name)
         study_tables.draw(IMAGES)
         setups_study.draw(IMAGES)
     for study, pictures in STUDIES.items():

@@ -15,16 +15,23 @@ if __name__ == "envs":  # found by its folder: all of it would be there twice
 import contextlib
 import io
 import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from itertools import pairwise
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 from gymnasium.envs.registration import WrapperSpec
 
 from . import hands, plugins, scenes, validation
 from .validation import nearest, require_known
+
+if TYPE_CHECKING:
+    from .batch import BatchEnv
 
 ROBOTICS = "gymnasium_robotics"
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
@@ -50,13 +57,7 @@ def make(
     """
     validation.require_type(name, str | None, "env")
     if scene is not None:
-        named = scenes.load(scene)
-        name = name or named.env
-        if not hands.is_hand(name):
-            raise ValueError(
-                f"env: found {name!r} with a scene, allowed: {hands.allowed()}"
-            )
-        choices = {**named.on(name), **choices}
+        name, choices = _of_scene(scene, name, choices)
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")
     if hands.is_hand(name):
@@ -80,6 +81,55 @@ def make(
         line = traceback.extract_tb(error.__traceback__)[-1].line
         reason = f"{type(error).__name__}: {str(error) or line}"  # of an assertion
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
+
+
+def make_vec(
+    name: str | None = None,
+    *,
+    scene: str | None = None,
+    num_envs: int = 1,
+    n: int | None = None,
+    layouts: Sequence[str | int] = (),
+    device: str = "cuda",
+    options: Mapping[str, Any] = MappingProxyType({}),
+    **choices: Any,
+) -> BatchEnv:
+    """Return many worlds of a hand or scene, played at once: a Gymnasium VectorEnv of PyTorch tensors.
+
+    `n` (or `num_envs`) worlds are shared out evenly between `layouts` (none: the scene's own).
+    `device` is PyTorch's, for MuJoCo Warp, or "loop", which is exact and slow; `options` are
+    further arguments of `batch.BatchEnv`. The rest is as in `make`.
+
+    Raise ValueError for what cannot be.
+    """
+    from .batch import BatchEnv
+    from .grasp import setup
+
+    if scene is not None:
+        name, choices = _of_scene(scene, name, choices)
+    if name is None or not hands.is_hand(name):
+        raise ValueError(f"env: found {name!r} in a batch, allowed: {hands.allowed()}")
+    config, size = setup(name, **choices), num_envs if n is None else n
+    shared = [replace(config, layout=str(layout)) for layout in layouts] or [config]
+    if size < len(shared):
+        raise ValueError(f"n: found {size}, allowed from {len(shared)}, one a layout")
+    ends = [size * part // len(shared) for part in range(len(shared) + 1)]
+    sizes = [end - start for start, end in pairwise(ends)]
+    groups = list(zip(shared, sizes, strict=True))
+    return BatchEnv(name, groups, device, **options)
+
+
+def _of_scene(
+    scene: str, name: str | None, choices: dict[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """Return the hand of a named scene, and its choices with these instead of some."""
+    named = scenes.load(scene)
+    name = name or named.env
+    if not hands.is_hand(name):
+        raise ValueError(
+            f"env: found {name!r} with a scene, allowed: {hands.allowed()}"
+        )
+    return name, {**named.on(name), **choices}
 
 
 def _make_grasp(
@@ -129,12 +179,23 @@ def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
 _OWN_LENGTH = WrapperSpec("at_its_length", "tactilerl.envs:at_its_length", {})
 # No wrapper may hide `compute_reward`.
 _register = partial(gym.register, order_enforce=False, disable_env_checker=True)
-_register_ours = partial(
-    _register, entry_point="tactilerl.envs:make", additional_wrappers=(_OWN_LENGTH,)
-)
+
+
+def _register_ours(id: str, **kwargs: Any) -> None:
+    """Register an environment of ours, and its batch: Gymnasium gives those no wrappers."""
+    _register(
+        id,
+        "tactilerl.envs:make",
+        additional_wrappers=(_OWN_LENGTH,),
+        kwargs=kwargs,
+    )
+    batch = id.replace("-v", "Batch-v")
+    _register(batch, vector_entry_point="tactilerl.envs:make_vec", kwargs=kwargs)
+
+
 for _hand in hands.HANDS:
-    _register_ours(hands.usage(_hand).id, kwargs={"name": _hand})
+    _register_ours(hands.usage(_hand).id, name=_hand)
 for _scene in scenes.names():
-    _register_ours(scenes.gymnasium_id(_scene), kwargs={"scene": _scene})
+    _register_ours(scenes.gymnasium_id(_scene), scene=_scene)
 _register("tactilerl/PointReach-v0", "tactilerl.envs.toy:PointReachEnv")
 gym.register("tactilerl/LQR-v0", "tactilerl.envs.toy:LQREnv")

@@ -216,12 +216,8 @@ class GraspEnv(gym.Env[Any, Array]):
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         """Begin an episode, and return its first observation and info."""
         super().reset(seed=seed)
-        # To spawn draws nothing from the generator itself.
-        observer_rng, task_rng, object_rng = self.np_random.spawn(3)
-        self._item = item = self._items.draw(object_rng)
-        start = self.task.start(
-            self._jittered(item.shape), self.palm_skin, item.shape, task_rng
-        )
+        self._item, start, observer_rng, task_rng = self.draw_start(self.np_random)
+        item = self._item
         self._observer.reset(observer_rng)
         self._touch.reset()
         try:
@@ -239,10 +235,21 @@ class GraspEnv(gym.Env[Any, Array]):
             self.render()
         return self._obs, self._info()
 
-    def _jittered(self, shape: Shape) -> tasks.Start:
+    def draw_start(
+        self, rng: np.random.Generator
+    ) -> tuple[objects.Item, tasks.Start, np.random.Generator, np.random.Generator]:
+        """Draw an episode's object and start; return the observer's and the task's generators too."""
+        # To spawn draws nothing from the generator itself.
+        observer_rng, task_rng, object_rng = rng.spawn(3)
+        item = self._items.draw(object_rng)
+        usual = self._jittered(item.shape, rng)
+        start = self.task.start(usual, self.palm_skin, item.shape, task_rng)
+        return item, start, observer_rng, task_rng
+
+    def _jittered(self, shape: Shape, rng: np.random.Generator) -> tasks.Start:
         """Return a start with the hand open above the object, both a little moved with jitter."""
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
-        config, rng = self.config, self.np_random
+        config = self.config
         if config.jitter:
             offset = rng.uniform(-config.start_offset, config.start_offset, 2)
             yaw = rng.uniform(-config.start_yaw, config.start_yaw)

@@ -25,6 +25,10 @@ from .validation import Newtons, require_one_of
 
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
+LOOKED_FOR = (
+    "looked for sites with MuJoCo's <touch>, its <tactile>, a URDF's <sensor><tactile>, and what is "
+    "fixed to a link and called sensor, taxel, tactile, touch or fsr"
+)
 Millimetres = Annotated[float, "[-50, 50]"]
 Count = Annotated[int, "[1, 100]"]
 MAX_TAXELS = 20_000  # of a layout on a hand
@@ -124,7 +128,7 @@ class Patch:
             if self.radius_mm is None:
                 offset = (
                     row * pitch.rows.get(surface.segment, 0.0),
-                    column * pitch.column,
+                    column * pitch.columns.get(surface.link, 0.0),
                 )
                 radius = pitch.large_radius if self.large else pitch.radius
             else:
@@ -211,14 +215,15 @@ class Layout:
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
                 point = point._replace(position=position, normal=normal)
                 placed.append((point, index, (*offset, 0.0)))
-        taxels = hand.sensors if self.is_model else self.taxels
+        taxels = hand.sensors.points if self.is_model else self.taxels
         placed += [_on_surface(point, hand) for point in taxels]
         if not self.is_model:
             with validation.blamed(f"layout {self.name!r}"):
                 require_distinct([point for point, *_ in placed])
         if not placed:
+            why = f": {str(hand.sensors) or LOOKED_FOR}" if self.is_model else ""
             raise ValueError(
-                f"layout {self.name!r} puts no taxel on the {hand.name} hand"
+                f"layout {self.name!r} puts no taxel on the {hand.name} hand{why}"
             )
         every, surfaces, offsets = zip(*placed, strict=True)
         return Taxels(every, np.array(surfaces), np.array(offsets))
@@ -239,9 +244,12 @@ class Layout:
                 "radius_mm": patch.radius_mm,
                 "threshold_N": patch.threshold_N,
             }
-            given = [(key, value) for key, value in values.items() if value is not None]
             lines += ["", "[[patch]]"]
-            lines += [f"{key} = {validation.quoted(value)}" for key, value in given]
+            lines += [
+                f"{key} = {validation.quoted(value)}"
+                for key, value in values.items()
+                if value is not None
+            ]
         for point in self.taxels:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"

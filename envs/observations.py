@@ -123,12 +123,15 @@ class Term(NamedTuple):
 
 
 def _first_joints(hand: Hand, state: State) -> Array:
-    return state.joint_positions[[hand.joints.index(j) for j in hand.first_joints]]
+    first = [hand.joints.index(joint) for joint in hand.first_joints]
+    return state.joint_positions[..., first]
 
 
 def _upper_quaternion(hand: Hand, state: State) -> Array:
     """Return, of the two quaternions of the object's orientation, that with w from 0 up."""
-    return np.copysign(1.0, state.object_orientation[0]) * state.object_orientation
+    return (
+        1.0 - 2.0 * (state.object_orientation[..., :1] < 0)
+    ) * state.object_orientation
 
 
 TERMS = {

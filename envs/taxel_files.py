@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from .hands import RADIUS, Point
 from .validation import Newtons, blamed, fill, read_text
 
-COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius")
+COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius", "name")
 Near = Annotated[float, "[-1, 1]"]
 Place = tuple[Near, Near, Near]
 """Point in the frame of a link, m."""
@@ -57,17 +57,13 @@ def point(data: Any, number: int) -> Point:
     """Return taxel `number` from a table (`TaxelTable`); ValueError naming what is wrong with it."""
     where = f"taxel {number}"
     table = fill(TaxelTable, data, where)
-    normal: tuple[float, ...] = ()
-    if table.normal is not None:
-        length = float(np.linalg.norm(table.normal))
-        if not 0.5 <= length <= 2.0:
-            raise ValueError(
-                f"{where}: normal: found {list(table.normal)}, expected a unit vector"
-            )
-        normal = table.normal
-        # A unit vector stays as it is, so that a copy of the file is read as the file was.
-        if abs(length - 1.0) > 1e-9:
-            normal = tuple((np.array(normal) / length).tolist())
+    normal: tuple[float, ...] = table.normal or ()
+    length = float(np.linalg.norm(normal))
+    if normal and not 1e-9 < length < np.inf:
+        raise ValueError(f"{where}: normal: found {list(normal)}, expected a direction")
+    # A unit vector stays as it is, so that a copy of the file is read as the file was.
+    if normal and abs(length - 1.0) > 1e-9:
+        normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
     return Point(
         table.link, table.position, normal, table.radius, name, table.threshold_N
@@ -95,14 +91,28 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         text = read_text(path, "taxel file")
         try:
             tables = list(READERS[path.suffix](text))
+            _require_metres(tables)
         except (LookupError, TypeError, AttributeError, RecursionError, csv.Error) as e:
-            raise ValueError(f"not of this format ({type(e).__name__}: {e})") from None
+            raise ValueError(
+                f"found another form ({type(e).__name__}: {e}), expected {FORMS[path.suffix]}"
+            ) from None
         if not tables:
             raise ValueError("found no taxel")
         on_link = {} if link is None else {"link": link}
         points = tuple(point(table | on_link, i) for i, table in enumerate(tables, 1))
         require_distinct(points)
         return points
+
+
+def _require_metres(tables: Sequence[dict[str, Any]]) -> None:
+    """Raise ValueError where places or radii are too large to be in m."""
+    for number, table in enumerate(tables, 1):
+        longest, radius = max(map(abs, table["position"])), table.get("radius", RADIUS)
+        if longest > 1.0 or radius > 0.02:
+            raise ValueError(
+                f"taxel {number}: found position {list(table['position'])} and radius {radius}, "
+                "allowed up to 1 m and 0.02 m: in mm? Then divide by 1000"
+            )
 
 
 def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
@@ -148,34 +158,44 @@ def _read_genesis(text: str) -> Tables:
         rows = entry["probes"]
         for probe in chain(*rows) if rows and isinstance(rows[0], list) else rows:
             if radius := probe.get("radius", RADIUS):
-                place = {"position": probe["pos"], "normal": probe["normal"]}
+                place = {"position": probe["pos"], "normal": probe.get("normal")}
                 yield {"link": entry["link_name"], **place, "radius": radius}
 
 
 def _read_csv(text: str) -> Tables:
     """Yield a table a row.
 
-    There is a heading; the first column, links, and the last, names, may be missing.
+    There is a heading. Of its columns only x, y and z must be there, and others are left out.
     """
     rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
     heading = tuple(name.strip() for name in rows.fieldnames or ())
     rows.fieldnames = heading
-    if {*heading} - {"link", "name"} != {*COLUMNS[1:]}:
+    if not {"x", "y", "z"} <= {*heading}:
         raise ValueError(
-            f"found the columns {', '.join(heading)}, expected [link, ]{', '.join(COLUMNS[1:])}[, name]"
+            f"found the columns {', '.join(heading)}, expected {FORMS['.csv']}"
         )
     for line, row in enumerate(rows, 2):
+        texts = {name: (row.get(name) or "").strip() for name in COLUMNS}
         try:
-            numbers = [float(row[column]) for column in COLUMNS[1:]]
-        except (TypeError, ValueError):
+            place, normal, radius = (
+                [float(texts[name]) for name in names if texts[name] or names[0] == "x"]
+                for names in ("xyz", ("nx", "ny", "nz"), ("radius",))
+            )
+        except ValueError:
             raise ValueError(
                 f"line {line}: found {list(row.values())}, expected numbers"
             ) from None
-        place = {"position": numbers[:3], "normal": numbers[3:6], "radius": numbers[6]}
-        link = {"link": row["link"].strip()} if "link" in heading else {}
-        yield {**link, **place, "name": (row.get("name") or "").strip()}
+        table: dict[str, Any] = {"position": place, "name": texts["name"]}
+        table |= {"normal": normal} if normal else {}
+        table |= {"radius": radius[0]} if radius else {}
+        yield table | ({"link": texts["link"]} if "link" in heading else {})
 
 
+FORMS = {
+    ".json": '[{"link_name": NAME, "probes": [{"pos": [x, y, z], "normal": [x, y, z], "radius": r}]}]',
+    ".csv": "x, y, z and, where they are known, link, nx, ny, nz, radius, name",
+}
+"""What files of points have in them, by their suffix."""
 READERS: dict[str, Callable[[str], Tables]] = {
     ".json": _read_genesis,
     ".csv": _read_csv,

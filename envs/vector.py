@@ -84,6 +84,21 @@ class Workers:
         reward = self.env.get_wrapper_attr("compute_reward")
         return np.asarray(reward(achieved_goal, desired_goal, {}))
 
+    def compute_terminated(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray
+    ) -> np.ndarray | None:
+        """Return whether goals (n, goal_size) end an episode, (n,); None where nobody says.
+
+        Gymnasium-Robotics' environments say it, some of them for one goal at a time.
+        """
+        if not self.env.has_wrapper_attr("compute_terminated"):
+            return None
+        ends = self.env.get_wrapper_attr("compute_terminated")
+        pairs = zip(achieved_goal, desired_goal, strict=True)
+        return np.array(
+            [bool(ends(achieved, desired, {})) for achieved, desired in pairs]
+        )
+
     def play(self, job: Job[T], numbers: Iterable[int]) -> Iterator[T]:
         """Yield the results of `job` for `numbers`, in that order, each as soon as it can be had.
 

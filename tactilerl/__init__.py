@@ -24,13 +24,27 @@ if TYPE_CHECKING:
     from typing import Any
 
     from .api import DDPGHER, PPO, design, evaluate, train
-    from .envs import make
+    from .envs import make, make_vec
     from .runs.policies import load_policy
 
-__all__ = ["DDPGHER", "PPO", "design", "evaluate", "load_policy", "make", "train"]
+__all__ = [
+    "DDPGHER",
+    "PPO",
+    "design",
+    "evaluate",
+    "load_policy",
+    "make",
+    "make_vec",
+    "train",
+]
 
 # No module of this package may have one of these names: importing it would hide the function.
-_WHERE = {"envs": "envs", "make": "envs", "load_policy": "runs.policies"}
+_WHERE = {
+    "envs": "envs",
+    "make": "envs",
+    "make_vec": "envs",
+    "load_policy": "runs.policies",
+}
 
 
 def __getattr__(name: str) -> "Any":

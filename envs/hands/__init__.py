@@ -1,10 +1,15 @@
 """Robot hands by name or file: each is a model, and a TOML file that says what it means.
 
-To follow a hand from its file to a scene, read `hand` (what the rest of the library knows of one),
-`model_file` (MJCF and URDF as published), `mount` (the model on slides, with servos), `parts` (the
-TOML file and what of the model it means), `geometry` and `surfaces` (where taxels may lie),
-`hand_file` (all of it together) and `checks`. `guess` writes the file of a bare model, `sandbox` reads
-in a process of its own.
+| file | what it has |
+|---|---|
+| `hand` | what the rest of the library knows of a hand |
+| `model_file` | models as published, MJCF or URDF |
+| `mount` | a model on slides, with servos: what a simulator gets |
+| `parts` | the TOML file, and what of the model it means |
+| `geometry`, `surfaces` | shapes and skin of links; where taxels may lie, the model's own sensors |
+| `hand_file` | all of it together: a `Hand` from a file |
+| `checks` | what is wrong with anybody's own hand, before it is used |
+| `sandbox` | a process of its own in which anybody's own hand is read |
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from .hand import Hand
 from .parts import Parts
 
 Timestep = Annotated[float, "[1e-05, 1.0]"]
-NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2
-"""rad or m, s, rad or m: of a hand that should hang still, its joints moved a little."""
+NUDGE, STILL, MOST_MOVED, GONE = 0.02, 0.4, 0.2, 10.0
+"""rad or m, s, rad or m twice: of a hand that should hang still, its joints moved a little."""
 CLOSING = 1.0  # s; a scripted grasp takes that long
 PRESS, REACHED = 0.3, 0.7
 """N at each fingertip, and the share of its way that a servo goes against it."""
@@ -67,14 +67,23 @@ def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
     held = [*hand.actuated, *(coupling.joint for coupling in hand.couplings)]
     places = [int(model.joint(joint).qposadr[0]) for joint in held]
     before = data.qpos[places]
-    mujoco.mj_step(model, data, round(STILL / timestep))
-    moved = np.nan_to_num(np.abs(data.qpos[places] - before), nan=np.inf)
+    for _ in range(round(STILL / timestep)):
+        mujoco.mj_step(model, data)
+        moved = np.nan_to_num(np.abs(data.qpos[places] - before), nan=np.inf)
+        if moved.max() > GONE:  # whoever is first is the cause
+            break
     worst = int(np.argmax(moved))
-    if moved[worst] > MOST_MOVED:
-        raise ValueError(
-            f"model: does not hang still: joint {held[worst]!r} moves by {moved[worst]:.2g} "
-            f"within {STILL:g} s; look at its servo's gain and damping, or at what it touches"
-        )
+    if moved[worst] <= MOST_MOVED:
+        return
+    servos = zip(hand.actuators, hand.actuated, strict=True)
+    undamped = [j for name, j in servos if mount.servo_figures(model, name, j)[1] <= 0]
+    raise ValueError(
+        f"model: does not hang still: {len(undamped)} of its servos have no damping (as at "
+        f"joint {undamped[0]!r}); give the joints damping, or drop the servos"
+        if undamped
+        else f"model: does not hang still: joint {held[worst]!r} moves by {moved[worst]:.2g} "
+        f"within {STILL:g} s; look at its servo's gain and damping, or at what it touches"
+    )
 
 
 def _require_palmar(parts: Parts) -> None:
@@ -135,6 +144,6 @@ def _weak(hand: Hand, model: mujoco.MjModel) -> tuple[str, ...]:
     worst = max(0.0, min(shares.values()))
     return (
         f"{len(weak)} of {len(shares)} servos are weak or slow ({', '.join(weak[:4])}): in "
-        f"{CLOSING:g} s and against {PRESS:g} N at the fingertips they go {100 * worst:.0f} % of their "
-        "way or more; drop them, and joints get the library's",
+        f"{CLOSING:g} s and against {PRESS:g} N at the fingertips the weakest goes "
+        f"{100 * worst:.0f} % of its way; drop all servos, and joints get the library's",
     )

@@ -145,8 +145,8 @@ class Pitch:
 
     rows: dict[str, float]
     """Row distance for each segment."""
-    column: float
-    """Column distance."""
+    columns: dict[str, float]
+    """Column distance for each link but the palm's."""
     radius: float
     """Radius of a taxel of layouts 1-5 and of every palm taxel."""
     large_radius: float
@@ -193,14 +193,15 @@ class ClosingAction:
     """(n_actuators,) targets at the closed end."""
 
     def __call__(self, action: Array, joint_targets: Array) -> Array:
-        """Return new joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
+        """Return new joint targets (..., n_actuators) from actions (slides, then groups) in [-1, 1]."""
         targets, n_slides = joint_targets.copy(), len(self.slide_step)
-        slides = targets[:n_slides] + self.slide_step * action[:n_slides]
-        targets[:n_slides] = np.clip(slides, *self.slide_limits.T)
-        closing = self._closing(targets) + self.closing_step * action[n_slides:]
-        way = self.closed - self.open
-        for group, share in zip(self.groups, np.clip(closing, 0.0, 1.0), strict=True):
-            targets[group] = self.open[group] + share * way[group]
+        slides = targets[..., :n_slides] + self.slide_step * action[..., :n_slides]
+        targets[..., :n_slides] = np.clip(slides, *self.slide_limits.T)
+        closing = self._closing(targets) + self.closing_step * action[..., n_slides:]
+        way, shares = self.closed - self.open, np.clip(closing, 0.0, 1.0)
+        for number, group in enumerate(self.groups):
+            share = shares[..., number, None]
+            targets[..., group] = self.open[group] + share * way[group]
         return targets
 
     def commands(self, joint_targets: Array) -> Array:
@@ -208,13 +209,14 @@ class ClosingAction:
 
         These are the slides' targets, m, and how far each group is to be closed, from 0 to 1.
         """
-        slides = joint_targets[: len(self.slide_step)]
-        return np.concatenate([slides, self._closing(joint_targets)])
+        slides = joint_targets[..., : len(self.slide_step)]
+        return np.concatenate([slides, self._closing(joint_targets)], axis=-1)
 
     def _closing(self, targets: Array) -> Array:
         """Return how far each group is closed, by the first of its actuators that moves."""
         first = self._first
-        return (targets[first] - self.open[first]) / (self.closed - self.open)[first]
+        way = (self.closed - self.open)[first]
+        return (targets[..., first] - self.open[first]) / way
 
     @cached_property
     def _first(self) -> Array:
@@ -242,6 +244,21 @@ class Point(NamedTuple):
         table = {"name": self.name, **self._asdict()}
         given = {key: table[key] for key in table if table[key] not in ((), None)}
         return ["[[taxel]]", *(f"{key} = {quoted(given[key])}" for key in given)]
+
+
+class Sensors(NamedTuple):
+    """The touch sensors that a model has of its own."""
+
+    points: tuple[Point, ...] = ()
+    left_out: tuple[str, ...] = ()
+    """Why each that is none of the points is left out."""
+
+    def __str__(self) -> str:
+        """Return what was left out, "" where that is nothing."""
+        if not self.left_out:
+            return ""
+        n, first = len(self.left_out), "; ".join(self.left_out[:3])
+        return f"{n} of {n + len(self.points)} left out: {first}{'; ...' * (n > 3)}"
 
 
 class Frame(NamedTuple):
@@ -349,8 +366,7 @@ class Hand:
     """Length of its longest digit, from knuckle to tip, m."""
     reach: float = 0.15
     """Largest distance of its fingertips from the palm's point, m."""
-    sensors: tuple[Point, ...] = ()
-    """The touch sensors that its model has."""
+    sensors: Sensors = field(default_factory=Sensors)
     welded: dict[str, Frame] = field(default_factory=dict)
     """Bodies of the model that are part of a link."""
     handed_beside: tuple[str, ...] = ()

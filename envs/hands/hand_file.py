@@ -24,6 +24,7 @@ from .hand import (
     Hand,
     LinearAction,
     ScriptedGrasp,
+    Sensors,
     Surface,
     short_digest,
 )
@@ -93,7 +94,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         finger_length=_finger_length(sides),
         reach=_reach(parts),
         welded=parts.welded,
-        sensors=surfaces.sensors(parts) if parts.is_own else (),
+        sensors=surfaces.sensors(parts) if parts.is_own else Sensors(),
         handed_beside=file.handed_beside,
     )
     return _with_actions(file, hand)
@@ -114,7 +115,18 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "left out of pictures, as their files are missing or cannot be read: meshes ": (
             model_file.undrawable(spec)
         ),
-        "joints have the library's servos, as these are not one a joint: ": parts.replaced,
+        "joints have the library's servos, as these are no position servos: ": parts.misfits[
+            0
+        ],
+        "joints have the library's servos, as these are on joints that have one: ": parts.misfits[
+            1
+        ],
+        "joints whose effort is 0, which have the servos' force: ": [
+            joint.get("name", "")
+            for joint in model_file.parsed(parts.unread.model)[0].findall("joint")
+            for limit in joint.findall("limit")
+            if float(limit.get("effort", 1)) == 0
+        ],
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
@@ -132,11 +144,10 @@ def _notes(parts: Parts) -> tuple[str, ...]:
 
 def _finger_length(sides: tuple[Surface, ...]) -> float:
     """Return the length of the longest digit, m: of all its segments."""
-    lengths: dict[str, float] = {}
+    lengths = dict.fromkeys((side.digit for side in sides), 0.0)
     for side in sides:
         if side.segment != "palm":
-            low, high, _ = side.span
-            lengths[side.digit] = lengths.get(side.digit, 0.0) + (high - low)
+            lengths[side.digit] += side.span[1] - side.span[0]
     return max(lengths.values())
 
 

@@ -22,6 +22,7 @@ from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
 from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
 
 RANGE_TOLERANCE = 1e-3  # rad or m that an angle may be beyond a joint's range
+LARGEST = 1e5  # m, kg or kg m², of a body of a hand or its arm
 Angles = dict[str, float]
 """Angles by joint, rad or m."""
 Names = tuple[str, ...]
@@ -194,6 +195,12 @@ class Parts:
                     f"body {joint.parent.name!r}: found {kind} joint {joint.name!r}, "
                     "allowed hinges and slides that have a name"
                 )
+            low, high = joint.range.tolist()
+            if not -math.inf < low <= high < math.inf:
+                raise ValueError(
+                    f"joint {joint.name!r}: found the range {low:g} to {high:g}, allowed finite "
+                    "numbers, the lower one first"
+                )
         if empty := [body.name for body in mount.weightless(spec)]:
             raise ValueError(
                 "model: found links without mass or shape; leave them out: "
@@ -217,18 +224,22 @@ class Parts:
         )
 
     @cached_property
-    def replaced(self) -> tuple[str, ...]:
-        """Actuators of the model in whose place all joints get the library's servos.
-
-        None where all of them are position servos, each of other joints.
-        """
-        driven = set[str]()
+    def misfits(self) -> tuple[Names, Names]:
+        """Actuators of the model that are no position servos, and those of joints that have one."""
+        others, second, driven = list[str](), list[str](), set[str]()
         for actuator in self.raw.actuators:
             joints = mount.arms(self.raw, actuator).keys()
-            if joints & driven or not mount.is_servo(self.raw, actuator):
-                return tuple(actuator.name for actuator in self.raw.actuators)
+            if not mount.is_servo(self.raw, actuator):
+                others.append(actuator.name)
+            elif joints & driven:
+                second.append(actuator.name)
             driven |= joints
-        return ()
+        return tuple(others), tuple(second)
+
+    @property
+    def replaced(self) -> bool:
+        """True where misfits are among the actuators: all joints get the library's servos."""
+        return any(self.misfits)
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
@@ -259,8 +270,19 @@ class Parts:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled `spec`."""
-        return model_file.compiled(self.spec)
+        """The compiled `spec`; ValueError for a body that is nowhere near, or no real one."""
+        model = model_file.compiled(self.spec)
+        figures = [model.body_pos, model.body_mass[:, None], model.body_inertia]
+        names = ("position in m", "mass in kg", "inertia in kg m²")
+        for what, values in zip(names, figures, strict=True):
+            wrong = np.flatnonzero(~(np.abs(values) < LARGEST).all(axis=1))
+            if len(wrong):
+                found = ", ".join(f"{value:g}" for value in values[wrong[0]])
+                raise ValueError(
+                    f"body {model.body(wrong[0]).name!r}: found the {what} {found}, allowed less than "
+                    f"{LARGEST:g}"
+                )
+        return model
 
     @cached_property
     def joints(self) -> tuple[str, ...]:

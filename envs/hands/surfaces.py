@@ -6,6 +6,7 @@ The touch sensors that a model has of its own become taxels on links, too.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -16,12 +17,13 @@ from ..state import Array
 from ..validation import require_known
 from . import model_file, mount
 from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
-from .hand import RADIUS, SEGMENTS, Pitch, Point, Surface
+from .hand import SEGMENTS, Frame, Pitch, Point, Sensors, Surface
+from .model_file import Spot
 from .parts import DigitTable, Parts
 
 PARALLEL = 0.99  # cosine
 OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
-SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch")
+SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch|fsr")
 MIN_RADIUS, MAX_RADIUS = 1e-3, 0.02  # m, of sensors
 NANO = 9  # decimals of m that count of a place
 ORIGIN = (0.0, 0.0, 0.0)
@@ -57,16 +59,17 @@ def of(parts: Parts) -> tuple[Surface, ...]:
 
 
 def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
-    """Return the file's pitch, or what fits on the smallest segment."""
-    table = parts.file.pitch
-    spans = [(s.segment, *s.span) for s in surfaces if s.segment != "palm"]
+    """Return the file's pitch, or rows that fit on the shortest of a segment, columns on each link."""
+    table, columns = parts.file.pitch, dict[str, float]()
     rows: dict[str, float] = {}
-    for segment, low, high, _ in spans:
-        rows[segment] = min(rows.get(segment, 5e-3), 0.3 * (high - low))
+    for side in surfaces:
+        if side.segment != "palm":
+            low, high, half_width = side.span
+            shortest = rows.get(side.segment, 5e-3)
+            rows[side.segment] = min(shortest, 0.3 * (high - low))
+            columns[side.link] = table.column or min(5e-3, 0.6 * half_width)
     require_known(table.rows, rows)
-    narrowest = min(half_width for *_, half_width in spans)
-    column = table.column or min(5e-3, 0.6 * narrowest)
-    return Pitch(rows | table.rows, column, table.radius, table.large_radius)
+    return Pitch(rows | table.rows, columns, table.radius, table.large_radius)
 
 
 def _segments(n: int) -> tuple[str, ...]:
@@ -191,29 +194,52 @@ def _palm_side(parts: Parts, name: str, digit: DigitTable | None) -> Surface:
     return replace(_around(whole), centre=plane.centre) if digit is None else whole
 
 
-def sensors(parts: Parts) -> tuple[Point, ...]:
-    """Return the touch sensors of the model that are at the skin of a link of the hand.
-
-    These are sites of `<touch>` sensors, and what is fixed to a link and called a sensor, as in URDF.
-    """
-    model, touch = parts.model, mujoco.mjtSensor.mjSENS_TOUCH
-    sensing = model_file.read(parts.unread.model).sensors
-    chosen = {sensor.objname for sensor in sensing if sensor.type == touch}
-    sites = [model.site(site.name) for site in parts.spec.sites if site.name in chosen]
-    spots = [
-        (site.name, model.body(site.bodyid[0]).name, site.pos, site.size[0])
-        for site in sites
-    ]
-    for name, frame in parts.welded.items():
-        if SENSORS.search(name):
-            spots.append((name, frame.link, frame.place, RADIUS))
+def sensors(parts: Parts) -> Sensors:
+    """Return the touch sensors of the model that are at the skin of a link of the hand."""
     links = {parts.palm_frame.link}.union(*(d.links for d in parts.digits.values()))
-    points = []
-    for name, link, place, radius in spots:
-        geoms = geoms_of(model, link) if link in links else ()
-        away, normal = outside(geoms, place) if geoms else (np.inf, place)
-        if abs(away) < OFF_SKIN and normal.any():
-            radius = float(np.clip(radius, MIN_RADIUS, MAX_RADIUS))
-            position, outward = tuple(place.tolist()), tuple(normal.tolist())
-            points.append(Point(link, position, outward, radius, name))
-    return tuple(points)
+    points, left_out = [], []
+    for spot in _spots(parts):
+        frame = parts.welded.get(spot.link, Frame(spot.link))
+        place = np.array(frame.point(spot.position))
+        geoms = geoms_of(parts.model, frame.link) if frame.link in links else ()
+        others = [geom for geom in geoms if not np.allclose(geom.position, place)]
+        # A sensor of a shape of its own is in the middle of it, where no side is the nearest.
+        away, normal = outside(tuple(others) or geoms, place) if geoms else (0.0, place)
+        if not geoms:
+            left_out.append(f"{spot.name} is on {frame.link}, neither palm nor digit")
+        elif abs(away) >= OFF_SKIN or not normal.any():
+            left_out.append(f"{spot.name} is {1e3 * abs(away):.0f} mm off the skin")
+        else:
+            radius = float(np.clip(spot.radius, MIN_RADIUS, MAX_RADIUS))
+            at, outward = tuple(place.tolist()), tuple(normal.tolist())
+            points.append(Point(frame.link, at, outward, radius, spot.name))
+    return Sensors(tuple(points), tuple(left_out))
+
+
+def _spots(parts: Parts) -> Iterator[Spot]:
+    """Yield every touch sensor of the model, whatever it lies on (`LOOKED_FOR`)."""
+    whole, kinds = model_file.read(parts.unread.model), mujoco.mjtSensor
+    touching = {
+        each.objname for each in whole.sensors if each.type == kinds.mjSENS_TOUCH
+    }
+    for site in map(parts.model.site, (site.name for site in parts.spec.sites)):
+        if site.name in touching:
+            link = parts.model.body(site.bodyid[0]).name
+            yield Spot(site.name, link, site.pos, site.size[0])
+    for name in parts.welded:
+        if SENSORS.search(name):
+            yield Spot(name, name, ORIGIN)
+    tactile = [each for each in whole.sensors if each.type == kinds.mjSENS_TACTILE]
+    model = model_file.compiled(whole) if tactile else parts.model
+    for sensor in tactile:
+        geom, mesh, turn = (
+            model.geom(sensor.refname),
+            model.mesh(sensor.objname),
+            np.zeros(9),
+        )
+        mujoco.mju_quat2Mat(turn, geom.quat)
+        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+        link = model.body(geom.bodyid[0]).name
+        for number, place in enumerate(geom.pos + corners @ turn.reshape(3, 3).T):
+            yield Spot(f"{sensor.name}[{number}]", link, place)
+    yield from model_file.tactile(parts.unread.model)

@@ -17,8 +17,7 @@ from ..files import pasted
 from ..machine import free_cores
 from ..placement import files
 from ..placement.candidates import DesignFlags
-from ..placement.choice import Design, Row, design
-from ..scripted import gate
+from ..placement.choice import Design, Row, design, n_played
 from ..terminal import flags
 from ..terminal.console import console, progress
 
@@ -31,10 +30,10 @@ examples:
   tactilerl design --scene handover_anywhere --taxels 4 --out four.toml
   tactilerl design --scene handover --taxels 1..12 --only palm --out my_design
   tactilerl design --scene handover_anywhere --taxels 8 --survives taxel"""
-EXACT = 1e-5  # of a bound: less than a start
 NAMED = {
     "chosen": "chosen",
-    "random": "random sets, mean",
+    "random": "random, mean",
+    "no touch": "no touch",
     "whole skin": "all candidates",
 }
 
@@ -65,7 +64,9 @@ def main(args: list[str]) -> int:
                     "with one: each threshold has layouts of its own"
                 )
             files.require(read.out, read.numbers, read.overwrite)
-        with progress("playing starts", read.n_played, not read.json) as tick:
+        total = n_played(read)
+        what = f"playing about {total} episodes"
+        with progress(what, total, not read.json, is_long=True) as tick:
             result = design(read, read.workers or free_cores(), tick)
         written = [] if read.out is None else files.write(result, read.out)
     if read.json:
@@ -108,10 +109,10 @@ def _print(result: Design) -> None:
     if pool.early:
         early = ", ".join(pool.early)
         console.print(f"left out, since they fire before anything comes: {early}")
-    loss = layouts.short(flags_given.survives or "taxel")
-    table = _wrapping(
-        "taxels", "which", "success", "felt", f"after the worst loss ({loss})"
-    )
+    table = _wrapping("taxels", "which", "success", "felt")
+    if flags_given.survives:
+        loss = layouts.short(flags_given.survives)
+        table.add_column(f"after the worst loss ({loss})", overflow="fold")
     if flags_given.start_closing:
         table.add_column("waits at")
     if flags_given.taxel_threshold:
@@ -121,12 +122,9 @@ def _print(result: Design) -> None:
     for row in result.rows:
         table.add_row(*_cells(row, result))
     console.print(table)
-    if len(flags_given.taxel_threshold) > 1:
-        uses = {use.threshold or 0.0: (use.touch, use.blind) for use in result.uses}
-        console.print(gate.where_touch_stops(uses))
-    for row in result.rows:
-        if row.chosen_from is not None and row.bound is not None:
-            console.print(_bound(row, row.chosen_from, row.bound))
+    for sentence in result.sentences():
+        console.print(sentence)
+    console.print("Chosen sets are the best that a search found.")
     console.print(_places(result))
 
 
@@ -138,11 +136,11 @@ def _wrapping(*headings: str) -> Table:
 def _cells(row: Row, result: Design) -> list[str]:
     """Return a line of the table."""
     name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")
-    worst = _rate(row.worst, row.worst_interval)
-    if row.lost is not None:
-        worst += f" without {row.lost}"
     success = _rate(row.success, row.success_interval)
-    cells = [str(row.taxels), name, success, f"{row.felt:.2f}", worst]
+    cells = [str(row.taxels), name, success, f"{row.felt:.2f}"]
+    if result.pool.flags.survives:
+        worst = _rate(row.worst, row.worst_interval)
+        cells.append(worst if row.lost is None else f"{worst} without {row.lost}")
     if result.pool.flags.start_closing:
         cells.append("" if row.start_closing is None else f"{row.start_closing:g}")
     if row.threshold is not None:
@@ -156,27 +154,14 @@ def _rate(rate: float, interval: tuple[float, float] | None) -> str:
     """Return a rate, with its interval where there is one."""
     if interval is None:
         return f"{rate:.2f}"
-    return "{:.2f} ({:.2f} – {:.2f})".format(rate, *interval)
-
-
-def _bound(row: Row, reached: float, bound: float) -> str:
-    """Return how good a set of the same size could be."""
-    best = f"{row.taxels} chosen: {reached:.3f} of the starts they were chosen from"
-    if row.chosen_worst is not None:
-        best += f", {row.chosen_worst:.3f} after the worst loss"
-        reached = row.chosen_worst
-    if bound - reached < EXACT:
-        return f"{best}; no set of the same size has more"
-    limit = f"; none has more than {bound:.3f}" if bound < 1 else ""
-    return f"{best}, the best found{limit}"
+    return "{:.2f} ({:.2f}–{:.2f})".format(rate, *interval)
 
 
 def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in the frames of the links."""
-    table = _wrapping("taxel", "link", "place, mm", "normal", "radius, mm")
+    table = _wrapping("taxel", "link", "place, mm", "radius")
     columns = result.chosen[max(result.chosen)]
     for point in result.pool.skin.take(columns).points:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
-        normal = ", ".join(f"{value:.2f}" for value in point.normal)
-        table.add_row(point.name, point.link, place, normal, f"{1e3 * point.radius:g}")
+        table.add_row(point.name, point.link, place, f"{1e3 * point.radius:g}")
     return table

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
-from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from rich.table import Table
 
 from ..envs import tasks, validation
-from ..envs.grasp import GraspConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
 from ..scripted import gate
@@ -30,9 +27,6 @@ examples:
   tactilerl gate --scene handover --starts 50 --search 5
   tactilerl gate --scene handover_anywhere --layout 1 3 my_layout.toml
   tactilerl gate --scene handover --taxel-threshold 0 0.1 0.3"""
-
-
-Row = tuple[GraspConfig, gate.HandResult]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,56 +70,19 @@ def main(args: list[str]) -> int:
             layout_notes(read.env, variant.layout)  # raises what is wrong with it
         if tasks.TASKS[scene.task].giver is None:
             require_grasp(read.env, scene)
-    n_senses = len(gate.useful_senses(scene)) + len(variants) - 1
-    total = n_senses * gate.n_played(read.starts, read.search)
+    total = gate.n_compared(variants, read.starts, read.search)
     what = f"playing scripted hands, {total} episodes"
-    with progress(what, total, is_shown=not read.json) as tick, input_errors():
-        rows: list[Row] = []
-        for variant in variants:
-            senses = ["touch"] if rows else list(gate.SENSES)
-            results = gate.examine(
-                read.env, variant, read.starts, read.search, read.seed,
-                read.workers or free_cores(), tick, senses,
-            )  # fmt: skip
-            rows += [(variant, result) for result in results]
-    results = [result for variant, result in rows if variant is variants[0]]
-    with_touch = [row for row in rows if row[1].name == "touch"]
-    others = [result for result in results if result.name != "touch"]
-    label = partial(_label, layout_names, thresholds)
-    verdicts = [gate.verdict([*others, result]) for _, result in with_touch]
-    sentences = verdicts[:1]
-    if len({*verdicts}) > 1:
-        sentences = [
-            f"{label(variant)}: {verdict}"
-            for (variant, _), verdict in zip(with_touch, verdicts, strict=True)
-        ]
-    if thresholds:
-        blind = gate.without_touch(results).rate
-        for layout in layout_names or [scene.layout]:
-            rates = {
-                variant.taxel_threshold or 0.0: (result.rate, blind)
-                for variant, result in with_touch
-                if variant.layout == layout
-            }
-            about = f"Layout {layout}: " if len(layout_names) > 1 else ""
-            sentences.append(about + gate.where_touch_stops(rates))
+    shown = progress(what, total, not read.json, is_long=True)
+    with shown as tick, input_errors():
+        comparison = gate.compare(
+            read.env, variants, read.starts, read.search, read.seed,
+            read.workers or free_cores(), tick,
+        )  # fmt: skip
     if read.json:
-        content: dict[str, Any] = {
-            "reflexes": [dataclasses.asdict(result) for result in results],
-            "touch": [
-                {
-                    "layout": variant.layout,
-                    "taxel_threshold": variant.taxel_threshold,
-                    **dataclasses.asdict(result),
-                }
-                for variant, result in with_touch
-            ],
-            "verdict": " ".join(sentences),
-        }
-        print(json.dumps(content))
+        print(json.dumps(comparison.as_dict()))
         return 0
-    console.print(_table(rows, label))
-    for sentence in sentences:
+    console.print(_table(comparison))
+    for sentence in comparison.sentences():
         console.print(sentence)
     return 0
 
@@ -137,22 +94,16 @@ def _newtons(text: str) -> float:
         raise ValueError(f"taxel_threshold: found {text!r}, allowed numbers") from None
 
 
-def _label(layout_names: list[str], thresholds: list[str], variant: GraspConfig) -> str:
-    """Return what tells a variant from the others: its layout and threshold, or nothing."""
-    parts = [f"layout {variant.layout}"] if len(layout_names) > 1 else []
-    if len(thresholds) > 1:
-        parts.append(f"{variant.taxel_threshold:g} N")
-    return ", ".join(parts)
-
-
-def _table(rows: list[Row], label: Callable[[GraspConfig], str]) -> Table:
+def _table(comparison: gate.Comparison) -> Table:
     """Return a line for each scripted hand, in the order of their senses."""
     table = Table("scripted hand", "switches when", "success", "95 % interval")
+    rows = [(one.name, one) for one in comparison.results if one.name != "touch"]
+    for variant, result in comparison.with_touch:
+        label = comparison.label(variant)
+        rows.append((f"touch, {label}" if label else "touch", result))
     rows.sort(key=lambda row: list(gate.SENSES).index(row[1].name))
-    for variant, result in rows:
-        name, (low, high) = result.name, result.interval
-        if name == "touch":
-            name = ", ".join(filter(None, [name, label(variant)]))
+    for name, result in rows:
+        low, high = result.interval
         when = gate.SENSES[result.name][1]
         table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
     return table

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 
-from ..envs import hands
-from ..envs.grasp import setup
-from ..envs.hands import guess, sandbox
+from ..envs import hands, scripted
+from ..envs.grasp import GraspEnv, setup
+from ..envs.hands import sandbox
 from ..errors import InputError, input_errors
-from ..files import pasted, replacing, require_new
+from ..files import pasted, replacing, require_new, writable
+from ..import_hand import guess
 from ..terminal import flags
 from ..terminal.console import console
 from .grasps import draw, find_grasp
@@ -26,6 +28,7 @@ examples:
   tactilerl hand robot.urdf --out my_hand.toml
   tactilerl hand leap_hand/right_hand.xml --out leap.toml"""
 HEADER = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
+MAX_JACOBIAN_ERROR = 1e-3  # of accelerations
 
 
 @dataclass(frozen=True)
@@ -56,9 +59,11 @@ def main(args: list[str]) -> int:
         )
     require_new(out, choices.overwrite)
     with input_errors():
+        with writable(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
         _write(choices, {})
         if complaint := _servo_complaint(name):
-            console.print(f"note: {complaint}: the joints get the library's servos")
+            console.print(f"note: {complaint}: all joints get the library's servos")
             _write(choices, {"servos": "library"})
         hand = hands.get(name)
         n_actuators = len(hand.actuators) - len(hands.SLIDES)
@@ -70,6 +75,8 @@ def main(args: list[str]) -> int:
         if grasp is not None:
             with out.open("a", encoding="utf-8") as file:
                 file.write(f"\n{grasp.toml()}\n")
+            for note in _solver_notes(name):
+                console.print(f"  note: {note}")
     pose: Literal["start", "grasp"] = "start" if grasp is None else "grasp"
     title, picture = f"the {pose}, and the hand unrolled", out.with_suffix(".png")
     draw(console, title, name, scene, pose, picture, choices.overwrite)
@@ -108,3 +115,20 @@ def _servo_complaint(name: str) -> str:
             raise
     failing = [text for text in texts if "hang still" in text or "weak or slow" in text]
     return failing[0].partition(";")[0] if failing else ""
+
+
+def _solver_notes(name: str) -> list[str]:
+    """Say where MuJoCo's solver is wrong about the hand in its grasp."""
+    with GraspEnv(name, setup(name, layout="1", simulator="mujoco")) as env:
+        for _ in scripted.hold_steps(
+            env, scripted.grasp_for(env), scripted.Offsets(), 0.5
+        ):
+            pass
+        simulator: Any = env.simulator
+        error = simulator.jacobian_error()
+    if error < MAX_JACOBIAN_ERROR:
+        return []
+    return [
+        f"MuJoCo {version('mujoco')} solves this hand's grasp wrongly, by {100 * error:.2g} % "
+        "(google-deepmind/mujoco#3767): install mujoco 4.0.1 or newer"
+    ]

@@ -36,11 +36,11 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder whose policy plays in the run's own scene. Several runs are filmed side by side,
-    from the same initial states. Without a run, a scripted grasp is drawn."""
+    """Run folder whose policy plays in the run's own scene. Two runs are filmed side by side, from the
+    same initial states. Without a run, a scripted grasp is drawn."""
     video: Path | None = None
     """File of the film; default: none where there is a display, which shows the run instead;
-    episodes.mp4 elsewhere, and of several runs."""
+    episodes.mp4 elsewhere, and of two runs."""
     episodes: Annotated[int, "[1, inf)"] = 3
     """Number of episodes: the first ones that `evaluate` plays. Hold tests last 2 s unless
     --hold-seconds is given."""
@@ -72,6 +72,10 @@ def main(args: list[str]) -> int:
         if getattr(read, flag) != getattr(RenderFlags, flag):
             needed = "without" if read.run else "with"
             raise InputError(f"{flag}: allowed only {needed} a run folder")
+    if len(read.run) > 2:
+        raise InputError(
+            f"render: found {len(read.run)} runs, allowed one, or two side by side"
+        )
     if read.run:
         given = flags.peek(args, "hold-seconds", "hold_seconds")
         hold_seconds = _hold_seconds(read, scene, bool(given["hold_seconds"]))

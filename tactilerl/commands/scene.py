@@ -74,6 +74,8 @@ def layout_notes(name: str, layout: str) -> list[str]:
     """
     wanted, hand = layouts.load(layout), hands.get(name)
     about, notes = f"layout {layouts.short(layout)}:", [*hand.notes]
+    if wanted.is_model and (lost := str(hand.sensors)):
+        notes.append(f"{about} {lost}")
     if missing := ", ".join(layouts.left_out(wanted, hand)):
         notes.append(f"{about} no taxels at {missing}, which {name} does not have")
     if off_skin := ", ".join(layouts.off_skin(wanted.place(hand), hand)):

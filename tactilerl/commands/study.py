@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, Literal, Union
 
 import tyro
 from rich.table import Table
@@ -16,7 +16,7 @@ from rich.table import Table
 from ..errors import InputError, extra, input_errors
 from ..files import pasted, require_new
 from ..machine import free_cores
-from ..study import executors, grid, jobs, records
+from ..study import batch, executors, grid, jobs, records
 from ..study.jobs import Job
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
@@ -33,11 +33,13 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
-    """Place where runs are trained: local; dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or
-    htcondor (extra: cluster).
+    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or
+    numbers of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf,
+    sge or htcondor (extra: cluster).
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained side by side; default: one per core. With a batch system: jobs to submit."""
+    """Runs trained side by side; default: one per core. On a GPU: batches; default: 6. With a batch
+    system: jobs to submit."""
     walltime: str | None = None
     """Time limit of a job of a batch system, as it wants it; default: dask-jobqueue's."""
     memory: str | None = None
@@ -51,8 +53,14 @@ class Run:
         """Run `tactilerl study run FILE`."""
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
-        runs = study.runs()
-        jobs.check(files, runs)
+        runs, is_gpu = study.runs(), self.on == "gpu"
+        if is_gpu:
+            batch.require_device()
+            batches, others = batch.form(files.path.absolute(), runs)
+            for run, reason in others:
+                console.print(f"not on a GPU: {run.name}: {reason}")
+            runs = [run for one in batches for run in one.runs]
+        jobs.check(files, runs, makes=not is_gpu)
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
             files.create(study)
@@ -75,12 +83,18 @@ class Run:
                 text = f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
                 text += duration(record.seconds)
                 # Before the first of each job has ended, the others are half done.
-                if n_ended >= (self.jobs or free_cores()):
+                if not is_gpu and n_ended >= (self.jobs or free_cores()):
                     left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
                     text += f"  ETA {duration(left)}"
                 console.print(text)
 
-            jobs.run_all(todo, pool, show)
+            if is_gpu:
+                names = {job.run.name for job in todo}
+                batches = [left for one in batches if (left := one.of(names)).runs]
+                batch.show(batches)
+                batch.run_all(batches, pool, self.jobs, show)
+            else:
+                jobs.run_all(todo, pool, show)
         n_failed = _print_failures(map(files.record, runs))
         if n_busy := endings.count("busy"):
             console.print(f"{n_busy} runs are trained by another `study run`")
@@ -108,25 +122,37 @@ def _print_failures(all_records: Iterable[Record]) -> int:
 
 @dataclass(frozen=True)
 class Train:
-    """Train one run of a study, or continue it, as `study run` does."""
+    """Train one run of a study, or several in batches, or continue them, as `study run` does."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the study."""
-    run: tyro.conf.Positional[str]
-    """Name of the run."""
+    run: tyro.conf.Positional[tuple[str, ...]]
+    """Name of the run, or names of all runs of batches."""
+    on: Literal["local", "gpu"] = "local"
+    """gpu: train them as batches (extra: gpu)."""
+    jobs: Annotated[int, "[1, inf)"] = executors.SIDE_BY_SIDE
+    """Batches that are trained side by side, with --on gpu."""
 
-    def __call__(self) -> None:
+    def __call__(self) -> int:
         """Run `tactilerl study train FOLDER RUN`."""
         from ..algos import mpi
         from ..runs.training import train
 
         files = StudyFiles(self.folder)
         runs = {run.name: run for run in files.study().runs()}
-        if self.run not in runs:
-            raise InputError(f"{self.folder}: found no run {self.run!r} in it")
-        run = runs[self.run]
+        for name in self.run:
+            if name not in runs:
+                raise InputError(f"{self.folder}: found no run {name!r} in it")
+        if self.on == "gpu":
+            return batch.train(files, [runs[name] for name in self.run], self.jobs)
+        if len(self.run) != 1:
+            raise InputError(
+                f"run: found {len(self.run)}, allowed one, or several with --on gpu"
+            )
+        run = runs[self.run[0]]
         out = {"out": str(files.run_dir(run).path)}
         train(run.config().choose(out), mpi.world(), f"study train: {run.name}")
+        return 0
 
 
 @dataclass(frozen=True)

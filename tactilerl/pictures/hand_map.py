@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -146,12 +147,13 @@ class TaxelMap:
         )
 
     def picture(self, lit: Iterable[bool]) -> Array:
-        """Return an RGB picture (height, width, 3) uint8; `lit` bool (n,)."""
+        """Return an RGB picture (height, width, 3) uint8; taxels `lit`, bool (n,), lie on top."""
         from PIL import ImageDraw
 
         image = self._blank.copy()
         draw = ImageDraw.Draw(image)
-        for disc, is_lit in zip(self._discs, lit, strict=True):
+        discs = zip(lit, self._discs, strict=True)
+        for is_lit, disc in sorted(discs, key=itemgetter(0)):
             draw.ellipse(disc, LIT if is_lit else TAXEL)
         return np.array(image)
 

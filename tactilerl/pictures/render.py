@@ -29,8 +29,11 @@ HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
+ABOVE_GROUND = 0.01  # m, where a camera stays: through the ground all is grey
+FARTHER = 1.2  # than the distance of pictures: a hand is not cut while it opens
 SIDE, LINES, LETTERS = 480, 88, (40, 26)
 """Pixels of a film: height of the scene, of the lines above it, and of their letters."""
+TOUCH = "no touch", "touch"
 RED, GREEN = (248, 180, 172), (178, 226, 178)
 MAX_REACHES = (
     0.6  # reaches of the hand that an object may be from the palm to be looked at
@@ -77,10 +80,15 @@ class _Artist:
         """Return an RGB picture (height, width, 3) uint8 with the hand in its middle."""
         env = self.env
         state = env.simulator.state()
-        towards = state.object_position - state.palm
+        hand = (state.palm + state.fingertips.mean(axis=0)) / 2
+        towards = state.object_position - hand
         share = min(1.0, MAX_REACHES * env.hand.reach / float(np.linalg.norm(towards)))
-        middle = state.palm + share * towards / 2
-        image = env.picture(replace(self._camera, lookat=tuple(middle.tolist())))
+        middle = hand + share * towards / 2
+        camera = self._camera
+        below = np.clip((middle[2] - ABOVE_GROUND) / camera.distance, -1.0, 1.0)
+        elevation = min(camera.elevation, float(np.degrees(np.arcsin(below))))
+        lookat = tuple(middle.tolist())
+        image = env.picture(replace(camera, elevation=elevation, lookat=lookat))
         if self._map is None:
             return image
         felt = env.taxel_readings() * (env.config.touch == "on")
@@ -125,7 +133,8 @@ class _Player:
         timestep = self.env.config.timestep
         every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (every * timestep)
-        self.label, self._successes, self._number = run.name, 0, 0
+        self.label = TOUCH[self.env.config.touch == "on"]
+        self._successes, self._number = 0, 0
         self._artist, self._tick = _Artist(self.env, camera), tick
         self._pictures: list[Array] = []
         filmed: Any = Filmed(self.env.simulator, every, self._show)
@@ -168,11 +177,17 @@ def film(
     run's environment is not a grasping one.
     """
     ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
-    camera = replace(camera, width=SIDE, height=SIDE, shadows=False)
+    distance = FARTHER * camera.distance
+    camera = replace(camera, distance=distance, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
         players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:
             opened.callback(player.env.close)
+        if len({player.label for player in players}) < len(
+            runs
+        ):  # then their names tell them apart
+            for run, player in zip(runs, players, strict=True):
+                player.label = run.name
         if len({player.fps for player in players}) > 1:
             raise InputError("render: found runs whose timesteps differ")
         writer = None

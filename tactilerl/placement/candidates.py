@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -27,6 +28,7 @@ TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just f
 ANGLES = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
 """Directions in which the margin of a taxel is looked at, rad."""
 KINDS_OF_LOSS = ("taxel", "digit", "segment")
+IN_A_GROUP = "taxels, digits or segments"
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
 
@@ -97,17 +99,21 @@ class DesignFlags:
             raise ValueError(f"taxels: found {self.taxels!r}, allowed {allowed}")
         return range(low, high + 1)
 
-    @property
-    def n_played(self) -> int:
-        """Number of starts that are played."""
-        return len(self.scene) * len(self.waits) * (self.starts + self.test_starts)
-
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
         validation.require(type(self), vars(self))
         if not self.scene:
             raise ValueError("scene: found none, allowed one or more handovers")
         _ = self.numbers
+        for name in ("scene", "taxel_threshold", "start_closing", "beside"):
+            require_distinct(name, getattr(self, name))
+
+
+def require_distinct(name: str, values: Sequence[object]) -> None:
+    """Raise ValueError where one of the values is there twice."""
+    for value, n in Counter(values).items():
+        if n > 1:
+            raise ValueError(f"{name}: found {value} {n} times, allowed once")
 
 
 def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
@@ -276,7 +282,18 @@ def losses_of(survives: str, hand: Hand, taxels: Taxels) -> Losses:
     with validation.blamed(f"file of groups {path}"):
         groups, rows = validation.fill(GroupFile, content).group, []
         segments = set().union(*(_names(surface) for surface in hand.surfaces))
+        if not groups:
+            raise ValueError("group: found none, allowed one or more")
+        require_distinct("group", [group.name for group in groups])
         for group in groups:
+            if not group.name.strip():
+                raise ValueError(
+                    "group: found one without a name, allowed a name for each"
+                )
+            if not (group.digits or group.segments or group.taxels):
+                raise ValueError(
+                    f"group {group.name}: found nothing in it, allowed {IN_A_GROUP}"
+                )
             require_known(group.digits, hand.digits)
             require_known(group.segments, segments)
             require_known(group.taxels, taxels.names)

@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from .choice import Design
 from .page import page
 
 PIXELS = 900  # height of the hand in its picture
+SPOT = 1e-3  # m, radius of a candidate there
 
 
 def paths(out: Path, numbers: Sequence[int]) -> list[Path]:
@@ -63,9 +65,16 @@ def write(design: Design, out: Path) -> list[Path]:
 
 
 def _picture(design: Design) -> bytes:
-    """Return a PNG of the unrolled hand with all candidates, the largest chosen set lit."""
+    """Return a PNG of the unrolled hand with the largest chosen set lit, and spots for candidates."""
     pool, file = design.pool, io.BytesIO()
     chosen = design.chosen[max(design.chosen)]
-    drawn = TaxelMap(pool.hand, pool.skin.take(pool.columns), PIXELS)
+    skin = pool.skin.take(pool.columns)
+    points = [
+        point
+        if column in pool.existing or column in chosen
+        else point._replace(radius=SPOT)
+        for column, point in zip(pool.columns, skin.points, strict=True)
+    ]
+    drawn = TaxelMap(pool.hand, replace(skin, points=tuple(points)), PIXELS)
     save_picture(drawn.picture(np.isin(pool.columns, chosen)), file, ".png")
     return file.getvalue()

@@ -66,9 +66,7 @@ def _data(design: Design) -> dict[str, Any]:
         "recordings": [
             {
                 "waits": wait,
-                "choice": _starts(design.choice[wait])
-                if len(design.choice) > 1
-                else None,
+                "choice": _starts(design.choice[wait]),
                 "test": _starts(starts),
             }
             for wait, starts in design.test.items()
@@ -77,6 +75,8 @@ def _data(design: Design) -> dict[str, Any]:
         "loss": layouts.short(pool.flags.survives or "taxel"),
         "losses": [[name, np.flatnonzero(lost).tolist()] for name, lost in losses],
         "rows": [asdict(row) for row in design.rows],
+        "verdict": design.sentences(),
+        "kept": len(pool.existing),
         "sets": design.chosen,
         "layouts": pool.references,
     }

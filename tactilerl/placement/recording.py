@@ -28,28 +28,30 @@ from .cover import NEVER, Starts
 
 
 class SkinnedEnv(GraspEnv):
-    """Read more taxels than one layout may have, each with several thresholds.
+    """Read a whole skin beside the taxels of the layout, each with several thresholds.
 
-    Some lie in the same place and differ in size.
+    More taxels than one layout may have; some lie in the same place and differ in size.
     """
 
     def __init__(
-        self, hand: str, config: GraspConfig, taxels: Taxels, thresholds: Array
+        self, hand: str, config: GraspConfig, skin: Taxels, thresholds: Array
     ) -> None:
         """Take the thresholds (t, n) in N at which each taxel fires."""
         is_force = thresholds.any()
         allowed = ["skin"] if is_force else sorted(set(RULES) - {"contact"})
         require_one_of(allowed, config.touch_rule, "touch_rule")
         super().__init__(hand, config)
-        self.taxels, self._thresholds = taxels, thresholds
-        rule = ForceRule if is_force else RULES[config.touch_rule]
-        self._touch = rule(taxels, self.hand)
+        self.skin, self._thresholds = skin, thresholds
+        self._rule = (ForceRule if is_force else RULES[config.touch_rule])(
+            skin, self.hand
+        )
 
     def firing(self) -> Array:
         """Tell which taxels fire with each threshold, bool (t, n)."""
-        if not (isinstance(self._touch, ForceRule) and self._thresholds.any()):
-            return self.taxel_readings()[None] > 0
-        is_on, forces = self._touch.feel(self.simulator.state())
+        state = self.simulator.state()
+        if not (isinstance(self._rule, ForceRule) and self._thresholds.any()):
+            return self._rule.read(state)[None] > 0
+        is_on, forces = self._rule.feel(state)
         return np.asarray(is_on & (forces >= self._thresholds))
 
 
@@ -98,7 +100,7 @@ def _play(
     Readings come `delay` actions late. A start in which the physics breaks is felt by nobody.
     """
     base: Any = env.unwrapped
-    fires = np.full((n_thresholds, len(base.taxels)), NEVER, np.uint8)
+    fires = np.full((n_thresholds, len(base.skin)), NEVER, np.uint8)
     succeeds = np.zeros(NEVER + 1, bool)
     try:
         env.reset(seed=number)

@@ -113,6 +113,17 @@ class RunConfig:
     def make_env(self) -> Callable[..., Any]:
         """The function that makes one environment; it can be pickled.
 
+        InputError as `place` raises it.
+        """
+        env, scene = self.place
+        if scene is None:
+            return partial(envs.make, env)
+        return partial(GraspEnv, env, scene)
+
+    @property
+    def place(self) -> tuple[str, GraspConfig | None]:
+        """The environment's name or its hand, and the scene, with the run's own copies of files.
+
         InputError when that would import a module that nobody has asked for, or the files of its
         hand have gone or changed.
         """
@@ -135,13 +146,13 @@ class RunConfig:
                 )
         scene = self.scene
         if scene is None:
-            return partial(envs.make, env)
+            return env, None
         if scene.hand_seed is None:
             scene = dataclasses.replace(scene, hand_seed=self.run.seed)
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             copy = str(self.folder / LAYOUT_COPY)
             scene = dataclasses.replace(scene, layout=copy)
-        return partial(GraspEnv, env, scene)
+        return env, scene
 
     @property
     def layout_file(self) -> Path | None:

@@ -155,16 +155,22 @@ class RunDir:
             )
 
     def write_config(
-        self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0
+        self,
+        config: RunConfig,
+        ranks: int,
+        epoch: int = 0,
+        env_steps: int = 0,
+        origin: Values | None = None,
     ) -> None:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
-        A run that goes on after `epoch` with other versions keeps the record of those before.
+        `origin` says the latter where it is more than versions, such as a batch of runs. A run that
+        goes on after `epoch` with other versions keeps the record of those before.
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
-        now = machine.origin(epoch, env_steps)
-        same = {name: now[name] for name in ("versions", "commit")}
+        now: Values = origin or {**machine.origin(epoch, env_steps)}
+        same = {name: now[name] for name in now if name not in ("epoch", "env_steps")}
         if not origins or not origins[-1].items() >= same.items():
             origins.append(now)
         digest, env, copy = config.hand, config.run.env, self.path / HAND_COPY
@@ -201,19 +207,24 @@ class RunDir:
 
     # -- progress.csv ------------------------------------------------------------------------
 
-    def append(self, row: dict[str, Any]) -> None:
-        """Add a row to the table, on disk; the first row decides the columns."""
+    def append(self, *rows: dict[str, Any]) -> None:
+        """Add rows to the table, on disk; the first row decides the columns."""
+        if not rows:
+            return
         with open(
             self.table, "a+", newline="", encoding="utf-8", opener=no_link
         ) as file:
             file.seek(0)
             columns = next(csv.reader(file), None)
             writer = csv.DictWriter(
-                file, columns or list(row), extrasaction="ignore", lineterminator="\n"
+                file,
+                columns or list(rows[0]),
+                extrasaction="ignore",
+                lineterminator="\n",
             )
             if columns is None:
                 writer.writeheader()
-            writer.writerow(row)
+            writer.writerows(rows)
             file.flush()
             os.fsync(file.fileno())
 
@@ -227,17 +238,19 @@ class RunDir:
                 raise ValueError(problem)
         return rows
 
-    def cut(self, epoch: int) -> None:
-        """Drop the row that was written after the checkpoint of `epoch`, if there is one.
+    def cut(self, epoch: int, most: int | None = 1) -> None:
+        """Drop the rows that were written after the checkpoint of `epoch`, if there are some.
 
         A table that is missing begins anew. InputError when this is not the checkpoint's table:
-        damaged, of other epochs, or of more than the one that a checkpoint may lack.
+        damaged, of other epochs, or of more than the `most` that a checkpoint may lack.
         """
         if not self.table.exists():
             return
         epochs = [int(row["epoch"]) for row in self.rows()]
         first, last = (epochs[0], epochs[-1]) if epochs else (1, 0)
-        if epochs != [*range(first, last + 1)] or last not in (epoch, epoch + 1):
+        if epochs != [*range(first, last + 1)] or not 0 <= last - epoch <= (
+            last if most is None else most
+        ):
             raise InputError(
                 f"{self.table}: found epochs up to {last}, the checkpoint's is {epoch}; put back "
                 "the table that belongs to it, or move this one away to continue with a new one"
@@ -277,7 +290,9 @@ def _hand_file(path: Path) -> bytes:
     if ":" in model:
         return text.encode()
     line = json.dumps(str((path.parent / model).absolute()), ensure_ascii=False)
-    text = re.sub(r"(?m)^\s*model\s*=.*$", lambda _: f"model = {line}", text, count=1)
+    text = re.sub(
+        r"""(?m)^\s*(["']?)model\1\s*=.*$""", lambda _: f"model = {line}", text, count=1
+    )
     return text.encode()
 
 

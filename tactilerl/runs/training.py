@@ -92,9 +92,9 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
             events = run_dir.path if config.run.tensorboard else None
             if events:
                 require_tensorboard()
-        with _writing(run_dir, config, comm):
+        with writing(run_dir, config, comm):
             checkpoint = Checkpoint(run_dir, config, learner, comm)
-            epoch = _begun(checkpoint)
+            epoch = begun(checkpoint)
             if comm.rank == 0:
                 run_dir.cut(epoch)
                 run_dir.write_config(config, comm.size, epoch, learner.env_steps)
@@ -119,7 +119,7 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
 
 
 @contextmanager
-def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[None]:
+def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[None]:
     """Hold the run folder on rank 0; what ends the run says that its last checkpoint stays."""
     with ExitStack() as held:
         if comm.rank == 0:
@@ -138,7 +138,7 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
             raise
 
 
-def _begun(checkpoint: Checkpoint) -> int:
+def begun(checkpoint: Checkpoint) -> int:
     """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet.
 
     InputError where the goal was made smaller, and the run is beyond it already.
@@ -191,8 +191,8 @@ def _epoch(learner: Learner) -> Row:
     speed = (learner.env_steps - steps_before) / (time.perf_counter() - begin)
     return {
         "env_steps": learner.env_steps,
-        **_merged(collected, [row["episodes"] for row in collected]),
-        **_merged(learned, [1] * len(learned)),
+        **merged(collected, [row["episodes"] for row in collected]),
+        **merged(learned, [1] * len(learned)),
         **test,
         "collect_s": round(collect_s, 4),
         "update_s": round(update_s, 4),
@@ -200,7 +200,7 @@ def _epoch(learner: Learner) -> Row:
     }
 
 
-def _merged(rows: list[Row], weights: list[float]) -> Row:
+def merged(rows: list[Row], weights: list[float]) -> Row:
     """Return one row for an epoch's cycles: counts are added, everything else is averaged.
 
     Averages are over the cycles that have a value.

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from .. import statistics
-from ..envs import tasks, vector
+from ..envs import layouts, tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.observations import TaxelFaults
 from . import reflexes
@@ -63,24 +63,26 @@ def useful_senses(scene: GraspConfig) -> list[str]:
     return [name for name in SENSES if name not in useless]
 
 
+def numbers(seed: int, starts: int, search: int) -> tuple[range, range]:
+    """Return the numbers of the starts to search in, and of those to compare in."""
+    first = 2 * SEARCH * seed
+    return range(first + SEARCH, first + SEARCH + search), range(first, first + starts)
+
+
 def examine(
     hand: str,
     scene: GraspConfig,
-    starts: int,
-    search: int,
-    seed: int,
+    searched: range,
+    compared: range,
     workers: int,
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
 ) -> list[HandResult]:
-    """Find the best reflex of each of these senses in a scene, `starts` starts each.
+    """Find the best reflex of each of these senses in a scene, and say how often it succeeds.
 
-    Each sense has as many candidates, and each candidate the same `search` starts. `tick` is called
-    after every one of the `n_played` episodes of a sense.
+    Each sense has as many candidates, and each candidate the same starts `searched`; the best of them
+    plays those `compared`. `tick` is called after every one of the `n_played` episodes of a sense.
     """
-    first = 2 * SEARCH * seed
-    compared = range(first, first + starts)
-    searched = range(first + SEARCH, first + SEARCH + search)
     results = []
     for name in useful_senses(scene):
         if name not in senses:
@@ -104,8 +106,9 @@ def examine(
             ]
             best = candidates[counts.index(max(counts))]
             n_won = _n_won(played_in, best, compared, tick)
-        interval = statistics.wilson_interval(n_won, starts)
-        results.append(HandResult(name, best, n_won / starts, interval, starts))
+        n = len(compared)
+        interval = statistics.wilson_interval(n_won, n)
+        results.append(HandResult(name, best, n_won / n, interval, n))
     return results
 
 
@@ -161,17 +164,130 @@ def pays(touch: float, blind: float) -> bool:
 
 
 def where_touch_stops(rates: Mapping[float, tuple[float, float]]) -> str:
-    """Return one sentence about the threshold, N, at which touch stops paying.
+    """Return one sentence about the thresholds, N, at which touch pays.
 
     `rates` are success rates by threshold: that of a hand with touch, and that of the best without.
     """
-    for threshold, (touch, blind) in sorted(rates.items()):
-        if not pays(touch, blind):
-            return (
-                f"Touch stops paying at a threshold of {threshold:g} N: touch succeeds in "
-                f"{touch:.2f} of the starts, the best hand without in {blind:.2f}."
-            )
+    paying = [threshold for threshold in sorted(rates) if pays(*rates[threshold])]
+    if not paying:
+        figures = [
+            f"{touch:.2f} against {blind:.2f} at {threshold:g} N"
+            for threshold, (touch, blind) in sorted(rates.items())
+        ]
+        return f"Touch pays at none of these thresholds: {', '.join(figures)}."
+    above = [threshold for threshold in sorted(rates) if threshold > paying[-1]]
+    if above:
+        touch, blind = rates[above[0]]
+        return (
+            f"Touch stops paying at a threshold of {above[0]:g} N: touch succeeds in "
+            f"{touch:.2f} of the starts, the best hand without in {blind:.2f}."
+        )
     return (
-        f"Touch pays at every one of these thresholds, up to {max(rates):g} N: it succeeds in at "
+        f"Touch pays at {', '.join(f'{threshold:g}' for threshold in paying)} N: it succeeds in at "
         f"least {MIN_GAIN:g} more of the starts than the best hand without."
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Hold the scripted hands of a scene, and the one that feels with each layout and threshold."""
+
+    results: list[HandResult]
+    """All hands in the first variant of the scene."""
+    with_touch: list[tuple[GraspConfig, HandResult]]
+    """Each variant, and the hand that feels in it."""
+
+    def label(self, variant: GraspConfig) -> str:
+        """Return what tells a variant from the others: its layout and threshold, or nothing."""
+        parts = []
+        if len({one.layout for one, _ in self.with_touch}) > 1:
+            parts.append(f"layout {variant.layout}")
+        if len({one.taxel_threshold for one, _ in self.with_touch}) > 1:
+            parts.append(f"{variant.taxel_threshold:g} N")
+        return ", ".join(parts)
+
+    def sentences(self) -> list[str]:
+        """Say what touch can win, from which threshold on it no longer pays, and what to try."""
+        others = [result for result in self.results if result.name != "touch"]
+        verdicts = {
+            self.label(variant): verdict([*others, result])
+            for variant, result in self.with_touch
+        }
+        said = [f"{label}: {sentence}" for label, sentence in verdicts.items()]
+        if len({*verdicts.values()}) == 1:
+            said = [*verdicts.values()][:1]
+        blind = without_touch(self.results).rate
+        by_layout: dict[str, dict[float, tuple[float, float]]] = {}
+        for variant, result in self.with_touch:
+            rates = by_layout.setdefault(variant.layout, {})
+            rates[variant.taxel_threshold or 0.0] = result.rate, blind
+        for layout, rates in by_layout.items():
+            about = f"Layout {layout}: " if len(by_layout) > 1 else ""
+            if len(rates) > 1:
+                said.append(about + where_touch_stops(rates))
+        sighted = next(one.rate for one in others if one.name == "sighted")
+        is_paid = any(pays(result.rate, blind) for _, result in self.with_touch)
+        if pays(sighted, blind) and not is_paid:
+            said.append(
+                _what_to_try(*max(self.with_touch, key=lambda row: row[1].rate), blind)
+            )
+        return said
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {
+            "reflexes": [dataclasses.asdict(result) for result in self.results],
+            "touch": [
+                {
+                    "layout": variant.layout,
+                    "taxel_threshold": variant.taxel_threshold,
+                    **dataclasses.asdict(result),
+                }
+                for variant, result in self.with_touch
+            ],
+            "verdict": " ".join(self.sentences()),
+        }
+
+
+def _what_to_try(variant: GraspConfig, best: HandResult, blind: float) -> str:
+    """Return one sentence for a scene in which touch could pay, and with this layout does not."""
+    force = variant.taxel_threshold
+    at = "" if force is None else f"at {force:g} N, "
+    advice = "try other layouts (--layout)"
+    if tasks.TASKS[variant.task].giver is not None:
+        flag = "" if force is None else f" --taxel-threshold {force:g}"
+        advice = f"tactilerl design{flag} looks for places where it does"
+    return (
+        f"Touch does not pay {at}with layout {layouts.short(variant.layout)}: {best.rate:.2f} against "
+        f"{blind:.2f}; {advice}."
+    )
+
+
+def compare(
+    hand: str,
+    variants: Sequence[GraspConfig],
+    starts: int,
+    search: int,
+    seed: int,
+    workers: int,
+    tick: Callable[[], None] = lambda: None,
+) -> Comparison:
+    """Play all scripted hands in the first variant of a scene, and the one that feels in each.
+
+    `tick` is called after every one of the `n_compared` episodes.
+    """
+    searched, compared = numbers(seed, starts, search)
+    results: list[HandResult] = []
+    with_touch = []
+    for variant in variants:
+        senses = ("touch",) if results else tuple(SENSES)
+        found = examine(hand, variant, searched, compared, workers, tick, senses)
+        results = results or found
+        with_touch += [(variant, one) for one in found if one.name == "touch"]
+    return Comparison(results, with_touch)
+
+
+def n_compared(variants: Sequence[GraspConfig], starts: int, search: int) -> int:
+    """Return the number of episodes that `compare` plays."""
+    n_senses = len(useful_senses(variants[0])) + len(variants) - 1
+    return n_senses * n_played(starts, search)

@@ -62,18 +62,16 @@ class Reflex:
         senses = _Senses(base, obs)
         read = getattr(senses, self.sense)
         shift = senses.seen_offset() if self.sense == "sight" else np.zeros(2)
-        parts = _parts(base, self.closing, shift)
+        both = parts(base, self.closing, shift)
         latest = base.max_episode_steps - FINAL_ACTIONS
         if senses.lifts:
-            senses.n_first = len(parts[0])
-            latest -= len(parts[1])
-        first, second = (chain(part, repeat(part[-1])) for part in parts)
+            senses.n_first = len(both[0])
+            latest -= len(both[1])
+        first, second = (chain(part, repeat(part[-1])) for part in both)
         targets: Iterator[Array] = first
         if self.squeeze:
             senses.squeeze = self.squeeze
-            targets = cycle(
-                [parts[1][-1]] * self.squeeze + [parts[0][-1]] * self.squeeze
-            )
+            targets = cycle([both[1][-1]] * self.squeeze + [both[0][-1]] * self.squeeze)
         is_over = False
         while not is_over:
             if read() >= self.threshold or senses.step >= latest:
@@ -174,7 +172,7 @@ def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
     return [Reflex(sense, *values) for values in product(of_lift, CLOSINGS)]
 
 
-def _parts(
+def parts(
     env: GraspEnv, closing: float, shift: Array
 ) -> tuple[list[Array], list[Array]]:
     """Return the joint targets (n_actuators,) of the first and of the second part.

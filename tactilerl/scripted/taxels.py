@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from ..envs.simulators import SimulationError
 from ..envs.state import Array
 
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
+MIN_SHARE = 0.5  # of the time of holds in which some taxel must fire
 GRASPS, SECONDS = 20, 3.0
 """Number of grasps that are played, each slightly different, and seconds for which each is held."""
 
@@ -34,6 +36,31 @@ class TaxelCheck:
     """Names of the taxels that fired at any time."""
     never_fired: tuple[str, ...]
     """Names of the others."""
+
+    @property
+    def is_useful(self) -> bool:
+        """True if all grasps hold, and taxels fire in at least half of the time."""
+        return self.held == self.grasps and self.share_any >= MIN_SHARE
+
+    def silent(self) -> list[str]:
+        """Name digits of which no taxel fired, and of others the segments with some that never did."""
+        places = Counter(_place(name) for name in self.fired + self.never_fired)
+        never, digits = Counter(map(_place, self.never_fired)), Counter[str]()
+        for place, n in places.items():
+            digits[place[0]] += n - never[place]
+        parts = [digit for digit, n in digits.items() if n == 0]
+        for (digit, segment), n in never.items():
+            if digits[digit]:
+                most = places[digit, segment]
+                share = "" if n == most else f" ({n} of {most})"
+                parts.append(f"{digit}.{segment}{share}")
+        return parts
+
+
+def _place(name: str) -> tuple[str, str]:
+    """Return the digit and the segment of a taxel."""
+    digit, _, segment = name.partition("[")[0].partition(".")
+    return digit, segment
 
 
 def check(

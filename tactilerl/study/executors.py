@@ -21,6 +21,7 @@ BATCH = {
     "htcondor": "HTCondor",
 }
 DASK = "dask:"
+SIDE_BY_SIDE = 6  # batches on a GPU: one alone waits for itself
 MEMORY = "3GB"  # of a process, as the guide says
 
 
@@ -33,8 +34,8 @@ def start(
     Raises InputError where it is not known or cannot be reached, or for flags that are another's.
     """
     is_batch, is_dask = on in BATCH, on.startswith(DASK)
-    if not (is_batch or is_dask or on == "local"):
-        allowed = f"local, dask:ADDRESS, {', '.join(BATCH)}"
+    if not (is_batch or is_dask or on in ("local", "gpu")):
+        allowed = f"local, gpu, dask:ADDRESS, {', '.join(BATCH)}"
         raise InputError(f"--on: found {on!r}, allowed: {allowed}")
     if is_batch and not jobs:
         raise InputError(f"--on {on}: how many jobs to submit? Give --jobs N")
@@ -42,8 +43,11 @@ def start(
         raise InputError("--jobs: found with Dask, which has as many as there are")
     if (walltime or memory) and not is_batch:
         raise InputError(f"--walltime, --memory: allowed only with {', '.join(BATCH)}")
-    if on == "local":
-        with threads(jobs or max(1, free_cores() // ranks)) as pool:
+    if on == "gpu" and ranks > 1:
+        raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
+    if on in ("local", "gpu"):
+        n = 1 if on == "gpu" else jobs or max(1, free_cores() // ranks)
+        with threads(n) as pool:
             yield pool
         return
     with extra("cluster"):

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import filelock
 import numpy as np
@@ -64,6 +64,9 @@ class Job:
     imports: tuple[str, ...] = field(default_factory=lambda: (*plugins.imported,))
     """Modules that are to be imported first."""
 
+    shows_progress: ClassVar[bool] = False
+    """True if its process prints to the terminal, and not to the log."""
+
     @property
     def arguments(self) -> list[str]:
         """The arguments of `tactilerl` that train it, or go on where it was cut off."""
@@ -71,10 +74,10 @@ class Job:
         return ["study", "train", str(self.folder), self.run.name, *modules]
 
 
-def check(files: StudyFiles, runs: Iterable[Run]) -> None:
+def check(files: StudyFiles, runs: Iterable[Run], makes: bool = True) -> None:
     """Raise InputError naming the first run that could not start, or is another one in its folder.
 
-    Makes the environment and the learner of every group that has not begun yet.
+    Where it `makes` them, with the environment and the learner of every group that has not begun yet.
     """
     made = set()
     for run in runs:
@@ -84,7 +87,7 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
             if record.config:
                 _require_same(record, config)
                 _require_same_layout(files.run_dir(run).layout_file, config)
-            if record.state == "left" and run.place not in made:
+            if makes and record.state == "left" and run.place not in made:
                 made.add(run.place)
                 learner, workers = make_algorithm(config, Communicator())
                 with closing(workers), input_errors():
@@ -195,7 +198,7 @@ def _train(files: StudyFiles, job: Job) -> Ending:
     log, code, begin = files.beside(job.run, "log"), 1, 0
     for _ in range(ATTEMPTS):
         begin = log.stat().st_size if log.exists() else 0
-        code = INTERRUPTED[0] if _stopping.is_set() else _process(log, job)
+        code = run_process(log, job)
         if _stopping.is_set() or code in INTERRUPTED:
             return "interrupted"
         if code == BUSY:
@@ -206,8 +209,13 @@ def _train(files: StudyFiles, job: Job) -> Ending:
         return "done"
     if job.run.name not in {run.name for run in files.study().runs()}:
         return "gone"
-    files.write_failure(job.run, _reason(code, log, begin))
+    files.write_failure(job.run, reason(code, log, begin))
     return "failed"
+
+
+def run_process(log_file: Path, job: Job) -> int:
+    """Run a job's process to its end; return the exit code."""
+    return INTERRUPTED[0] if _stopping.is_set() else _process(log_file, job)
 
 
 def _process(log_file: Path, job: Job) -> int:
@@ -219,8 +227,8 @@ def _process(log_file: Path, job: Job) -> int:
         child = subprocess.Popen(
             [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
+            stdout=None if job.shows_progress else log,
+            stderr=log,
             env=_environment(),
             cwd=job.cwd,
         )
@@ -244,7 +252,7 @@ def _environment() -> dict[str, str]:
     return inherited | dict.fromkeys(THREADS, "1")
 
 
-def _reason(code: int, log_file: Path, begin: int) -> str:
+def reason(code: int, log_file: Path, begin: int) -> str:
     """Return in a line why a run failed: the signal, or the last thing in its log after `begin`."""
     if code < 0:
         return f"killed by signal {-code} ({signal.strsignal(-code)})"

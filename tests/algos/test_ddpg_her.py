@@ -142,7 +142,7 @@ class TestTargets:
         for scale, rewards in ((0.5, [0.0, -0.5]), (-7.0, [0.0, 7.0]), (3.0, [0.0, -3.0])):
             learner = trained(2, make(GoalEnv(reward_scale=scale)))
             low, high = min(-1.0, *rewards), max(0.0, *rewards)
-            assert (-learner.worst, learner.best) == (low, high)
+            assert (learner.rewards.lowest, learner.rewards.highest) == (low, high)
             with torch.no_grad():
                 learner.target_critic[-1].bias += 1e4
             batch = learner.replay.sample(8, 0.8)
@@ -192,19 +192,19 @@ class TestUnitOfRewards:
         """Powers of two change no digit; others round."""
         config = dataclasses.asdict(recipes.recipe("ddpg_her", "scaled")) | SMALL
         one, other = (trained(5, make(env(unit), **config)) for unit in (1.0, unit))
-        assert other.reward_scale == pytest.approx(unit * one.reward_scale)
+        assert other.rewards.scale == pytest.approx(unit * one.rewards.scale)
         both = (everything(learner) for learner in (one, other))
         torch.testing.assert_close(*both, atol=tolerance, rtol=0)
 
     def test_a_larger_return_leaves_what_the_critics_say_of_rewards(self):
         learner = trained(2, make(Ended(), normalize_rewards=True))
-        inputs, before = torch.ones(5, 9), learner.reward_scale
+        inputs, before = torch.ones(5, 9), learner.rewards.scale
         critics = learner.critic, learner.target_critic
         said = [before * critic(inputs) for critic in critics]
         learner._update_reward_scale(np.float32([100.0]))
-        assert learner.reward_scale > 2 * before
+        assert learner.rewards.scale > 2 * before
         for critic, values in zip(critics, said, strict=True):
-            torch.testing.assert_close(learner.reward_scale * critic(inputs), values)
+            torch.testing.assert_close(learner.rewards.scale * critic(inputs), values)
 
 
 class TestFallsOverTheRun:

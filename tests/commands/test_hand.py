@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.envs.hands import guess
+from tactilerl.import_hand import guess
 from tactilerl.scripted import grasp_search
 
 from one_line import fails_with, printed
@@ -100,6 +100,50 @@ def test_digits_without_names_are_counted_from_the_thumb():
     assert links == {"index": "f1_1", "middle": "f2_1", "ring": "f0_1", "thumb": "f3_1"}
 
 
+def test_digits_without_names_stand_in_a_row_even_where_knuckles_lie_on_an_arch():
+    """Though the third is further from the thumb than the fourth."""
+    fingers = [(0.045, -0.045), (0.055, -0.015), (0.06, 0.015), (0.02, 0.045)]
+    texts = [
+        FINGER.format(n=f"f{k}", y=y, tip=TIP).replace('pos="0.045', f'pos="{x}', 1)
+        for k, (x, y) in enumerate(fingers)
+    ]
+    thumb = THUMB.replace("th_", "f4_").replace("-0.03 0 -0.02", "-0.03 -0.045 -0.02")
+    palm = '<geom type="box" size="0.045 0.04 0.012"/>'
+    about, _ = guessed(MODEL.replace(FINGERS, "".join(texts) + thumb).replace(PALM, palm))
+    links = {name: digit["links"][0] for name, digit in about["digits"].items()}
+    named = {"index": "f0_1", "middle": "f1_1", "ring": "f2_1", "little": "f3_1"}
+    assert links == {"thumb": "f4_1", **named}
+
+
+def test_a_palm_that_folds_keeps_its_thumb():
+    """Whether or not it is named as the palm; its front carries fingers, and is part of none."""
+    front = '<body name="front"><joint name="fold" axis="0 1 0" range="0 0.6"/><geom size="0.01"/>'
+    fingers = PERSON[PERSON.index('<body name="ff_1"') : PERSON.index('<body name="th_1"')]
+    model = PERSON.replace(fingers, f"{front}{fingers}</body>")
+    for known in ({}, {"palm": "hand"}):
+        about, notes = guessed(model, **known)
+        assert about["palm"] == "hand"
+        assert list(about["digits"]) == ["index", "middle", "ring", "thumb"]
+        assert about["digits"]["index"]["links"] == ["ff_1", "ff_2"]
+        assert "fold" not in about["closed"]
+        assert notes == ["no part of a digit, as several hang on them: front"]
+
+
+def test_a_hand_on_a_stand():
+    stand = '<body name="stand"><geom type="box" size="0.5 0.5 0.5"/><body name="hand" pos="-0.6 0 0">'
+    model = PERSON.replace('<body name="hand">', stand).replace("</worldbody>", "</body></worldbody>")
+    about, notes = guessed(model)
+    assert (about["palm"], about["root"], about["palmar"]) == ("hand", "hand", [0, 0, -1])
+    assert notes == ["root: cut off what hand hangs on"]
+
+
+def test_links_without_shapes_are_named_once():
+    model = PERSON.replace('<body name="ff_1"', '<body name="twin"><joint name="j"/><body name="ff_1"')
+    model = model.replace('<body name="mf_1"', '</body><body name="mf_1"')
+    _, notes = guessed(model)
+    assert notes == ["left out of digits, as they have no shape that collides: twin"]
+
+
 def test_fingers_that_close_on_a_thumb_across_a_broad_palm():
     finger = """<body name="{n}_1" pos="{x} {y} -0.02" euler="0 1.5708 0"><joint name="{n}_a"
     axis="0 {s} 0" range="-0.2 1.5"/><geom type="capsule" size="0.007" fromto="0 0 0 0.05 0 0"/>
@@ -126,6 +170,7 @@ def test_of_two_hands_the_first_is_taken_with_a_note():
     both = PERSON.replace("</worldbody>", f"{other}</worldbody>")
     about, notes = guessed(both)
     assert about["palm"] == about["root"] == "hand"
+    assert notes[0].startswith("palm: found 2 (hand, bother), took the first")
     assert len(about["digits"]) == 4
     for name in ("hand", "bother"):
         body = f'<body name="{name}">'
@@ -222,13 +267,13 @@ def test_from_model_to_training(monkeypatch, capsys):
     monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
     monkeypatch.setattr(grasp_search, "STARTS", 2)
     Path("hand.xml").write_text(MODEL)
-    said = printed(capsys, ["hand", "hand.xml", "--out", "mine.toml"])
+    said = printed(capsys, ["hand", "hand.xml", "--out", "new/mine.toml"])
     assert "thumb = { links = [" in said
-    assert "next: tactilerl env --env mine.toml --check" in said
-    assert len(hands.get("mine.toml").grasps) == 1
+    assert "next: tactilerl env --env new/mine.toml --check" in said
+    assert len(hands.get("new/mine.toml").grasps) == 1
     flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
     flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]
-    assert main(["train", "--algo", "ppo", "--env", "mine.toml", *flags]) == 0
+    assert main(["train", "--algo", "ppo", "--env", "new/mine.toml", *flags]) == 0
 
 
 def test_a_guess_that_is_refused_is_printed(monkeypatch, capsys):

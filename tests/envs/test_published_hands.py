@@ -196,20 +196,21 @@ class TestServos:
         assert found["l_a"] + found["l_b"] == pytest.approx(0.6, abs=0.02)
 
     @pytest.mark.parametrize(
-        "more",
+        ("more", "why"),
         [
-            ['<motor name="m" joint="l_a"/>'],
-            [*ALL, '<position name="m" joint="l_a" kp="1"/>'],
-            [*ALL[1:], '<position name="m" joint="l_a" kp="5" delay="0.2" nsample="60"/>'],
-            [*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'],
-            [*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'],
-            [*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'],
+            (['<motor name="m" joint="l_a"/>'], "these are no position servos: m"),
+            ([*ALL, '<position name="m" joint="l_a" kp="1"/>'], "these are on joints that have one: m"),
+            ([*ALL[1:], '<position name="m" joint="l_a" kp="5" delay="0.2" nsample="60"/>'], "no pos"),
+            ([*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'], "no position servos: m"),
+            ([*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'], "no position servos: m"),
+            ([*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'], "no position"),
         ],
     )
-    def test_what_is_no_set_of_position_servos_is_replaced_with_a_note(self, made, more):
+    def test_what_is_no_set_of_position_servos_is_replaced_with_a_note(self, made, more, why):
         hand = hands.get(made(with_more(servos(*more))))
         assert len(hand.actuated) == 7
-        assert "joints have the library's servos" in hand.notes[0]
+        assert hand.notes[0].startswith("joints have the library's servos, as these are ")
+        assert why in hand.notes[0]
 
     @pytest.mark.parametrize("limited", ["", 'ctrllimited="false" '])
     def test_a_servo_moves_a_joint_without_a_range(self, made, simulator, limited):
@@ -231,6 +232,7 @@ class TestServos:
         weak = [servo.replace('"5"', '"0.05"') for servo in ALL]
         (note,) = hands.get(made(with_more(servos(*weak)))).notes
         assert "4 of 4 servos are weak" in note
+        assert "the weakest goes 1 % of its way; drop all servos" in note
         assert not hands.get(made(with_more(servos(*ALL)))).notes
 
     def test_a_joint_of_a_closed_loop_is_passive(self, made):
@@ -320,6 +322,10 @@ NO_HANDS = [
         "found 1,0.. bodies with",
     ),
     (with_more(servos(*ALL).replace("/>", ' gear="nan"/>', 1)), TOML, "actuator 'l_a': found NaN"),
+    (MODEL.replace('"0 1.5"', '"1.5 0"', 1), TOML, "joint 'l_a': found the range 1.5 to 0, allowed"),
+    (MODEL.replace('"0 1.5"', '"nan 1"', 1), TOML, "joint 'l_a': found the range nan to 1, allowed"),
+    (MODEL.replace("0 0 0.3", "0 0 1e9"), TOML, "body 'palm': found the position in m 0, 0, 1e"),
+    (on_palm('<geom size="0.01" mass="1e30"/>'), TOML, "body 'palm': found the mass in kg 1e"),
 ]
 
 
@@ -354,6 +360,11 @@ class TestModels:
         path = made(on_palm(drawn.replace("0", "1")).replace("<worldbody>", asset))
         with pytest.raises(ValueError, match=r"model: Error: .*v\.stl"):
             hands.get(path)
+
+    def test_a_model_may_balance_its_inertias(self, made):
+        flat = '<inertial pos="0 0 0" mass="0.03" diaginertia="1e-5 1e-5 3e-5"/>'
+        model = MODEL.replace("<compiler ", '<compiler balanceinertia="true" ')
+        assert hands.get(made(model.replace(FINGERS, fingers(TIP + flat)))).notes == ()
 
     def test_actuators_need_no_names(self, made):
         unnamed = [servo.replace(f'name="{servo[16:19]}" ', "") for servo in ALL]
@@ -420,6 +431,10 @@ class TestModels:
             model = model.replace(turns, f'name="{n}_a" type="slide" axis="0 0 {-s}" range="0 0.03"')
         hand = hands.get(made(model, FOLLOWERS.replace("0.6", "0.02")))
         assert np.allclose(hand.surfaces[0].palmar, (0, 0, 1), atol=1e-4)  # the left slides towards it
+
+    def test_a_narrow_link_does_not_set_the_pitch_of_others(self, made):
+        hand = hands.get(made(MODEL.replace('size="0.008" fromto', 'size="0.002" fromto', 1)))
+        assert [*hand.pitch.columns.values()] == pytest.approx([0.0012, 0.0048, 0.0048, 0.0048])
 
     def test_a_range_may_be_given(self, made):
         path = made(UNLIMITED, TOML.replace("[closed]", "[ranges]\nl_a = [0, 1]\n[closed]"))
@@ -497,6 +512,10 @@ class TestUrdf:
                 urdf(mimic='<mimic joint="{n}_x"/>'),
                 "joint 'l_b': found <mimic> of 'l_x', allowed another",
             ),
+            (
+                '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro/></robot>',
+                "xacro hand.urdf > hand.urdf",
+            ),
         ],
     )
     def test_what_is_missing_is_said(self, made, model, complaint):
@@ -507,6 +526,10 @@ class TestUrdf:
         model = urdf(kind="continuous").replace('izz="1e-5"', 'izz="0"')
         hand = hands.get(made(model, URDF, "hand.urdf"))
         assert hand.notes[0].endswith("gives them another: l_b, r_b")
+
+    def test_an_effort_of_zero_is_said(self, made):
+        hand = hands.get(made(urdf().replace('effort="1"', 'effort="0"', 1), URDF, "hand.urdf"))
+        assert hand.notes == ("joints whose effort is 0, which have the servos' force: l_a",)
 
     def test_a_mimic_has_its_offset(self, made):
         mimic = '<mimic joint="{n}_a" multiplier="0.5" offset="0.7"/>'
@@ -544,8 +567,54 @@ class TestSensors:
             f'<child link="{n}_sensor_1"/><origin xyz="0.02 0 0.008"/></joint>'
             for n in "lr"
         )
-        hand = hands.get(made(urdf().replace("</robot>", f"{pads}</robot>"), URDF, "hand.urdf"))
-        assert layouts.load("model").place(hand).names == ("l_sensor_1", "r_sensor_1")
+
+        def found(pads):
+            model = urdf().replace("</robot>", f"{pads}</robot>")
+            return hands.get(made(model, URDF, "hand.urdf"))
+
+        taxels = layouts.load("model").place(found(pads))
+        assert taxels.names == ("l_sensor_1", "r_sensor_1")
+        assert layouts.load("model").place(found(pads.replace("sensor", "fsr"))).names[0] == "l_fsr_1"
+        box = '<collision><geometry><box size="0.01 0.01 0.001"/></geometry></collision></link>'
+        shaped = found(pads.replace('_sensor_1"/><joint', f'_sensor_1">{box}<joint'))
+        np.testing.assert_allclose(shaped.sensors.points[0].normal, taxels.normals[0], atol=1e-3)
+        hand = found(pads.replace("0.008", "0.02", 1))
+        assert str(hand.sensors) == "1 of 2 left out: l_sensor_1 is 12 mm off the skin"
+        hand = found(pads.replace("0.008", "0.02"))
+        with pytest.raises(ValueError, match="no taxel on the hand hand: 2 of 2 left out: l_sensor_1"):
+            layouts.load("model").place(hand)
+        with pytest.raises(ValueError, match=r"no taxel .*: looked for sites with MuJoCo's <touch>"):
+            layouts.load("model").place(found(""))
+
+    ARRAY = '<array rows="2" cols="3" size="0.003 0.003" spacing="0.004 0.005" offset="0 0.005"/>'
+    TAXELS = "".join(
+        f'<taxel idx="{k}" xyz="{x} {y} 0"><geometry><box size="0.003 0.003 0.001"/></geometry></taxel>'
+        for k, (x, y) in enumerate((x, y) for x in (0, 0.004) for y in (-0.005, 0, 0.005))
+    )
+
+    @pytest.mark.parametrize("tactile", [ARRAY, TAXELS])
+    def test_tactile_sensors_of_a_urdf(self, made, tactile):
+        """Of arrays, whose columns go along y, or of single taxels."""
+        sensor = '<sensor name="t"><parent link="l_2"/><origin xyz="0.02 0 0.008" rpy="0 0 0"/>'
+        sensor = f"{sensor}<tactile>{tactile}</tactile></sensor></robot>"
+        hand = hands.get(made(urdf().replace("</robot>", sensor), URDF, "hand.urdf"))
+        taxels = layouts.load("model").place(hand)
+        places = [[x, y, 0.008] for x in (0.02, 0.024) for y in (-0.005, 0, 0.005)]
+        np.testing.assert_allclose(taxels.positions, places, atol=1e-9)
+        assert taxels.links == ("l_2",)
+        assert taxels.radii.tolist() == [0.0015] * 6
+
+    def test_tactile_sensors_of_mujoco(self, made):
+        """Each corner of the mesh on a geom is a taxel."""
+        corners = "0 0 0 0.004 0 0 0 0.004 0 0 0 0.001"
+        mesh = f'<asset><mesh name="pad" vertex="{corners}" inertia="shell"/></asset>'
+        sensor = '<sensor><tactile name="t" geom="pad" mesh="pad"/></sensor>'
+        pad = '<geom name="pad" type="mesh" mesh="pad" pos="0.02 0 0.008" contype="0" conaffinity="0"/>'
+        model = with_more(mesh, sensor).replace(TIP, TIP + pad, 1)
+        taxels = layouts.load("model").place(hands.get(made(model)))
+        assert taxels.names == tuple(f"t[{k}]" for k in range(4))
+        places = [[0.02, 0, 0.008], [0.024, 0, 0.008], [0.02, 0.004, 0.008], [0.02, 0, 0.009]]
+        np.testing.assert_allclose(taxels.positions, places, atol=1e-6)
 
     def test_the_contact_rule_feels_what_a_welded_part_touches(self, made, tmp_path, simulator):
         """On the part by its name, and on the link that it is part of."""

@@ -93,6 +93,8 @@ class TestPhysics:
             bits.append(env.taxel_readings().sum())
         assert held[-1]
         assert np.mean(bits) >= 2.0
+        if simulator == "mujoco":  # 4.0.0 solves some trees wrongly: google-deepmind/mujoco#3767
+            assert env.simulator.jacobian_error() < 1e-9
 
     @pytest.mark.parametrize(
         ("kind", "size", "volume"),

@@ -47,6 +47,31 @@ def test_what_has_no_normal_has_that_of_the_nearest_skin(name):
     assert cosines.min() > math.cos(math.radians(5))
 
 
+def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
+    """As people publish them: an id, blanks where a normal is not known, normals of any length."""
+    path = tmp_path / "own.csv"
+    path.write_text("id,x,y,z,nx,ny,nz\n0,0,0.001,-0.02,,,\n1,0,0,-0.02,0,0,250\n")
+    bare, long = taxel_files.read(path, "left_2")
+    assert (bare.normal, long.normal) == ((), (0.0, 0.0, 1.0))
+    path.write_text("x,y,z\n0,0.001,-0.02\n")
+    assert taxel_files.read(path, "left_2")[0].radius == taxel_files.RADIUS
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        ("p.csv", "x,y,z,radius\n-6,-3,0,1.5\n", "in mm? Then divide by 1000"),
+        ("p.csv", "x,y\n0,0\n", "found the columns x, y, expected x, y, z and, where"),
+        ("p.json", '{"taxels": []}', 'expected [{"link_name": NAME, "probes":'),
+    ],
+)
+def test_what_a_file_of_another_form_should_have_is_said(tmp_path, name, content, complaint):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match=r"taxel file .*p\.") as error:
+        taxel_files.read(tmp_path / name, "left_2")
+    assert complaint in str(error.value)
+
+
 def test_a_layout_without_normals_is_written_and_read_again(in_tmp):
     bare = layouts.Layout("own", "", (), tuple(point._replace(normal=()) for point in POINTS))
     Path("own.toml").write_text(bare.toml())

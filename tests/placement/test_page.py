@@ -23,10 +23,11 @@ READY = """new Promise((go) => {
 })"""
 MIDDLE = """(() => {
     const node = document.querySelector('CSS');
-    node.scrollIntoView({ block: "center" });
+    node.scrollIntoView({ block: "center", inline: "center" });
     const box = node.getBoundingClientRect();
     return [box.x + box.width / 2, box.y + box.height / 2];
 })()"""
+TEXT = "document.getElementById('{}').textContent"
 COLOURS = """[...document.querySelectorAll("p, td, th, button, h1, label")].map((node) => {
     const look = getComputedStyle(node);
     return [look.color, look.backgroundColor];
@@ -114,7 +115,9 @@ def design(request):
     recorded = [{wait: played(rng, len(pool.skin)) for wait in flags.start_closing} for _ in range(2)]
     judge = choice.Judge(*recorded, pool)
     rows = [judge.row("chosen", pool.columns[:3])]
-    return choice.Design(pool, *recorded, {3: pool.columns[:3]}, None, rows, []), judge
+    use = choice.Use(None, 0.9, 0.2, "timed", 0.2)
+    rows.append(choice._without(use, len(judge)))
+    return choice.Design(pool, *recorded, {3: pool.columns[:3]}, None, rows, [use]), judge
 
 
 @pytest.fixture
@@ -153,6 +156,17 @@ class TestPage:
     @pytest.mark.parametrize("browser", [390], indirect=True)
     def test_on_a_phone_by_keyboard_and_for_weak_eyes(self, design, browser):
         assert browser.run("document.documentElement.scrollWidth") <= 390
+        assert "best one without touch (timed) in 0.20" in browser.run(TEXT.format("verdict"))
+        assert "no touch" in browser.run(TEXT.format("results"))
+        sizes = "[...document.querySelectorAll('#map .chosen circle')].map(x => x.r.baseVal.value)"
+        assert browser.run(sizes) == [2.0] * 3
+        last = "[...document.querySelectorAll('#map g')].slice(-3).every(x => x.matches('.chosen'))"
+        assert browser.run(last)
+        browser.click("#clear")
+        spacing = 6 * browser.run("document.getElementById('map').getScreenCTM().a")
+        assert spacing >= 24  # px, as WCAG wants of what is tapped
+        browser.click(f'[data-taxel="{design[0].pool.free[40]}"] circle')
+        assert browser.own()["taxels"] == 1
         browser.click("#clear")
         browser.run("document.querySelector('#map [tabindex=\"0\"]').focus()")
         browser.press("Enter")

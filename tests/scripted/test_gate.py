@@ -11,6 +11,7 @@ from tactilerl.scripted import gate, reflexes
 from tactilerl.scripted.gate import HandResult
 from tactilerl.scripted.reflexes import Reflex
 from tactilerl.terminal import flags
+from tactilerl.terminal.console import progress
 
 from one_line import fails_with
 
@@ -47,7 +48,8 @@ def test_another_seed_has_other_starts_and_every_episode_is_counted(monkeypatch)
     monkeypatch.setattr(Reflex, "play", note)
     for seed in (0, 1):
         config = setup("mpl", task="handover", simulator="mujoco")
-        gate.examine("mpl", config, 20, 2, seed, 1, lambda: ticks.append(1), ["timed"])
+        numbers = gate.numbers(seed, 20, 2)
+        gate.examine("mpl", config, *numbers, 1, lambda: ticks.append(1), ["timed"])
     assert len(ticks) == 2 * gate.n_played(20, 2) == 100
     assert len(set(played)) == 2 * 22
 
@@ -110,9 +112,36 @@ def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_
     assert "Touch stops paying at a threshold of 0.4 N" in said["verdict"]
 
 
-def test_touch_that_pays_at_all_thresholds():
-    sentence = gate.where_touch_stops({0.1: (0.9, 0.6), 0.0: (0.7, 0.4)})  # which differ by less
-    assert "up to 0.1 N: " in sentence
+@pytest.mark.parametrize(
+    ("rates", "words"),
+    [
+        ({0.1: (0.9, 0.6), 0.0: (0.7, 0.4)}, "pays at 0, 0.1 N: "),  # which differ by less than 0.3
+        ({0.1: (0.6, 0.5), 0.0: (0.9, 0.5)}, "stops paying at a threshold of 0.1 N"),
+        (
+            {0.1: (0.6, 0.5), 0.0: (0.7, 0.5)},
+            "none of these thresholds: 0.70 against 0.50 at 0 N, 0.60",
+        ),
+    ],
+)
+def test_from_which_threshold_on_touch_no_longer_pays(rates, words):
+    assert words in gate.where_touch_stops(rates)
+
+
+@pytest.mark.parametrize(
+    ("touch", "what"),
+    [
+        (0.23, "Touch does not pay at 0.3 N, with layout 6: 0.23 against 0.20; tactilerl design "
+               "--taxel-threshold 0.3 looks for"),
+        (0.9, None),
+    ],
+)  # fmt: skip
+def test_one_threshold_at_which_touch_does_not_pay_or_does(touch, what):
+    variant = setup("mpl", task="handover", layout="6", taxel_threshold=0.3)
+    results = found(timed=0.2, touch=touch, sighted=0.9)
+    said = gate.Comparison(results, [(variant, results[1])]).sentences()
+    assert said[0].startswith("Touch closes ")
+    assert "stops" not in " ".join(said)
+    assert (what in said[1]) if what else len(said) == 1
 
 
 def test_several_layouts():
@@ -133,3 +162,17 @@ def test_several_layouts():
 )
 def test_bad_input(args, named, capsys):
     fails_with(capsys, ["gate", *args], named)
+
+
+def test_without_a_terminal_one_reads_how_far_it_is(capsys):
+    with progress("playing", 40, is_long=True) as tick:
+        assert capsys.readouterr().err == ""
+        tick()
+        tick(3)
+        lines = capsys.readouterr().err.splitlines()
+        assert lines[0] == "playing"
+        assert lines[1].startswith("2 %, about ")
+        assert lines[2].startswith("10 %, about ")
+        for _ in range(36):
+            tick()
+        assert len(capsys.readouterr().err.splitlines()) == 8

@@ -204,8 +204,8 @@ class TestFailures:
     def test_why_it_failed_is_of_this_attempt(self, tmp_path):
         log = tmp_path / "run.log"
         log.write_text("tactilerl: interrupted\nTraceback\nMemoryError\n")
-        assert jobs._reason(1, log, 23) == "MemoryError (exit code 1)"
-        assert jobs._reason(-9, log, 0) == "killed by signal 9 (Killed)"
+        assert jobs.reason(1, log, 23) == "MemoryError (exit code 1)"
+        assert jobs.reason(-9, log, 0) == "killed by signal 9 (Killed)"
 
 
 class TestSharing:

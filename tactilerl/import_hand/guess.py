@@ -7,6 +7,7 @@ one on which the fingertips lie furthest in front of the palm while they close i
 from __future__ import annotations
 
 import re
+from collections import Counter
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import Path
@@ -18,12 +19,12 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from .. import validation
-from ..state import Array
-from . import mount
-from .geometry import gap, geoms_of, meet, placed, posed, unit
-from .hand import DIGITS
-from .parts import Angles, HandFile, Parts, between
+from ..envs import validation
+from ..envs.hands import mount
+from ..envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
+from ..envs.hands.hand import DIGITS
+from ..envs.hands.parts import Angles, HandFile, Parts, between
+from ..envs.state import Array
 
 WORDS = {
     "thumb": "thumb|th|pollex",
@@ -34,6 +35,7 @@ WORDS = {
 }
 MAX_LINKS = 4  # of a digit, counted from its tip
 MAX_WRIST_JOINTS = 2  # joints outside of a hand that are no arm
+LARGEST_MOUNT = 0.4  # m from the palm: what reaches further is no part of a hand
 AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
 BEND_ASYMMETRY = 0.13  # share of its range by which a joint bends further one way
 STEP = 0.01  # rad or m, by which a joint goes to see what it turns
@@ -79,8 +81,11 @@ class Guess:
             self.keys["drop"] += [actuator.name for actuator in self._spec().actuators]
         self._find_palm(self._spec())
         self.parts = self._parts()
+        if self._is_on_a_stand() and "root" not in self.keys:
+            self._cut()
+            self.parts = self._parts()
         self.frame = self.parts.palm_frame
-        self.chains = chains_of(self.parts, self.frame.link)
+        self.chains = chains_of(self.parts, self.frame.link, self.notes)
 
     def _parts(self) -> Parts:
         """Return the parts of a hand of which only the keys so far are known."""
@@ -108,32 +113,74 @@ class Guess:
         n_others = n_joints(link) - n_joints(palm)
         has_other_hand = n_others >= n_joints(palm) and len(palm.bodies) > 1
         root = palm if n_others == 0 or has_other_hand else link
+        self._root = root.name
         if len(spec.joints) - n_joints(root) > MAX_WRIST_JOINTS:
-            self.keys["root"] = root.name
-            self.notes.append(f"root: cut off what {root.name} hangs on")
+            self._cut()
+
+    def _cut(self) -> None:
+        self.keys["root"] = self._root
+        self.notes.append(f"root: cut off what {self._root} hangs on")
+
+    def _is_on_a_stand(self) -> bool:
+        """Return whether the palm is part of, or hangs on, what is too large for a hand."""
+        frame, model = self.parts.palm_frame, self.parts.model
+        data = posed(model, {})
+        palm = placed(data, frame.link, frame.place)
+        away = [
+            np.linalg.norm(placed(data, link, point) - palm)
+            for link in mount.chain(self.parts.spec.body(frame.link))
+            for geom in geoms_of(model, link)
+            for point in geom.points
+        ]
+        return bool(max(away, default=0.0) > LARGEST_MOUNT)
 
     def _palm_of(self, spec: mujoco.MjSpec) -> str:
-        """Return the body of the link from which most digits branch, furthest from the root."""
-        bases: dict[str, list[str]] = {}  # of digits, by the link that they are part of
+        """Return the body of the link from which most digits branch, furthest from the root.
+
+        It is what that link hangs on where further digits, such as the thumb, hang there beside it.
+        """
+        bases: dict[str, list[mujoco.MjsBody]] = {}  # of digits, by their link
         for body in spec.bodies[1:]:
-            base = body.parent
-            if list(body.joints) and base.name != "world" and body.find_all("geom"):
-                bases.setdefault(mount.link_of(base).name, []).append(base.name)
+            moves = list(body.joints) and body.parent.name != "world"
+            if moves and body.find_all("geom"):
+                bases.setdefault(mount.link_of(body.parent).name, []).append(body)
 
         def rank(link: str) -> tuple[int, int]:
             return len(bases[link]), len(mount.chain(spec.body(link)))
 
-        best = max(map(rank, bases), default=(0, 0))
-        if best[0] < 2:
+        def branches(body: mujoco.MjsBody) -> bool:
+            below = (body, *body.find_all("body"))
+            return any(len(bases.get(each.name, ())) > 1 for each in below)
+
+        most = max(map(rank, bases), default=(0, 0))
+        if most[0] < 2:
             raise ValueError(
                 "palm: found no body from which two digits branch; name it with --palm"
             )
-        palms = [mode(bases[link]) for link in bases if rank(link) == best]
-        if len(palms) > 1:
+        link = next(link for link in bases if rank(link) == most)
+        above = spec.body(link).parent
+        carrying = "" if above.name == "world" else mount.link_of(above).name
+        beside = [each for each in bases.get(carrying, ()) if each.name != link]
+        if beside and not any(map(branches, beside)):
+            link = carrying
+        palm = mode(body.parent.name for body in bases[link])
+        inside = {part.name for part in spec.body(palm).find_all("body")}
+        ends = (
+            body for bodies in bases.values() for body in bodies if not branches(body)
+        )
+        n_digits = Counter(end.parent.name for end in ends)
+        least = max(2, n_digits[palm] - 1)
+        others = [
+            name
+            for name in n_digits
+            if name not in {palm, *inside} and n_digits[name] >= least
+        ]
+        if others:
+            names = ", ".join([palm, *others])
             self.notes.append(
-                f"palm: found {len(palms)} ({', '.join(palms)}), took the first; --palm names another"
+                f"palm: found {len(others) + 1} ({names}), took the first; --palm names another"
             )
-        return palms[0]
+        return palm
 
     # -- the digits, and where they go -------------------------------------------------------
 
@@ -151,14 +198,26 @@ class Guess:
             others = np.delete(alike, loner).mean()
             if len(names) == 2 or alike[loner] < others - MAX_THUMB_COSINE:
                 names[loner] = "thumb"
-        away = np.zeros(len(names))
-        if "thumb" in names:
-            from_thumb = self.begins - self.begins[names.index("thumb")]
-            away = np.linalg.norm(from_thumb, axis=1).round(3)
         free = iter([name for name in DIGITS[1:] if name not in names])
-        for number in np.argsort(away, kind="stable"):
+        for number in self._row(names):
             names[number] = names[number] or next(free, f"finger{number + 1}")
         return names
+
+    def _row(self, names: list[str]) -> list[int]:
+        """Return the numbers of digits as they stand in their row, from the thumb where there is one.
+
+        The row is the line on which the others begin.
+        """
+        if "thumb" not in names:
+            return list(range(len(names)))
+        thumb = names.index("thumb")
+        begins = self.begins - np.delete(self.begins, thumb, axis=0).mean(axis=0)
+        along = begins @ np.linalg.svd(np.delete(begins, thumb, axis=0))[2][0]
+        others = [number for number in range(len(names)) if number != thumb]
+        ahead = round(along[thumb], 3) or along[others[0]] - along[others[-1]]
+        return sorted(
+            others, key=lambda number: -np.sign(ahead) * along[number].round(6)
+        )
 
     @cached_property
     def thumb(self) -> int | None:
@@ -433,10 +492,11 @@ class Chain(NamedTuple):
     """The digit that its links or joints are named after, or ""."""
 
 
-def chains_of(parts: Parts, palm: str) -> list[Chain]:
+def chains_of(parts: Parts, palm: str, notes: list[str]) -> list[Chain]:
     """Return the digits that hang on a palm: of what a closed loop joins, the furthest chain.
 
-    Raises ValueError for fewer than two.
+    What carries several of them belongs to none. Notes say so, and which links have no shape. Raises
+    ValueError for fewer than two.
     """
     spec, data, loops = parts.spec, posed(parts.model, {}), mount.loops(parts.spec)
     above = mount.chain(spec.body(palm))
@@ -451,15 +511,24 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
         tip = placed(data, chain.links[-1], chain.tip)
         return float(np.linalg.norm(tip - data.body(palm).xpos))
 
+    members = [set[str]().union(*paths) for paths in groups.values()]
+    carried = Counter(link for links in members for link in links)
+    shared = {link for link in carried if carried[link] > 1}
     digits = list[Chain]()
-    for paths in groups.values():
-        group = set[str]().union(*paths)
-        chains = filter(None, (_chain(parts, path, group) for path in paths))
+    for paths, links in zip(groups.values(), members, strict=True):
+        own = ([link for link in path if link not in shared] for path in paths)
+        chains = filter(None, (_chain(parts, path, links - shared) for path in own))
         digits += sorted(chains, key=reach, reverse=True)[:1]
     if len(digits) < 2:
         raise ValueError(
             f"digits: found {len(digits)} from body {palm!r}, allowed 2 or more"
         )
+    shapeless = [link for link in carried if not geoms_of(parts.model, link)]
+    said = {
+        "no part of a digit, as several hang on them: ": sorted(shared),
+        "left out of digits, as they have no shape that collides: ": sorted(shapeless),
+    }
+    notes += [text + ", ".join(links) for text, links in said.items() if links]
     return digits
 
 

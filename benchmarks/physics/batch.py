@@ -1,0 +1,320 @@
+"""How fast is a batch of worlds on a GPU, and is it the same physics?
+
+Control steps a second of `handover_anywhere` with three hands, and one CPU core's; a hand that closes
+at the first touch, in the batch and in MuJoCo from the same starts, with the hold test; taxels in
+states of the batch, read by both; physics settings against MuJoCo at 1 ms; worlds that diverged or had
+no room.
+A line of JSON for each measurement, written as it is made; what is in the file already is not measured
+again:
+
+    python -m benchmarks batch --out docs/data/batch.jsonl
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import multiprocessing
+import os
+import time
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from tactilerl import envs
+from tactilerl.envs.batch import BatchEnv
+from tactilerl.envs.grasp import GraspConfig, GraspEnv
+
+from benchmarks.command import DATA, count, on_one_thread, parser
+
+CHOSEN = {"mpl": "anywhere_8", "shadow": "shadow_anywhere_8", "allegro": "allegro_anywhere_8"}
+WORLDS = {"mpl": 16_384, "shadow": 8_192, "allegro": 8_192}
+SETTINGS = [(ms, iterations) for ms in (2, 4, 8) for iterations in (10, 20)]
+CONTROL_DT = 0.096  # s: whole numbers of all these timesteps, and of 1 ms
+SEED = 400_000
+
+
+def config(hand: str, layout: str = "1", **choices: Any) -> GraspConfig:
+    """Return the scene's configuration."""
+    env: Any = envs.make(hand, scene="handover_anywhere", simulator="mujoco", layout=layout, **choices)
+    return env.unwrapped.config
+
+
+def layouts(hand: str) -> dict[str, str]:
+    """Return the layouts of a hand, by name."""
+    return {"1": "1", "5": "5", "chosen 8": str(DATA / "chosen" / f"{CHOSEN[hand]}.toml")}
+
+
+def cpu_speed(hand: str, seconds: float) -> dict[str, Any]:
+    """Measure one core's control steps a second; random actions, resets included."""
+    env, rng, steps = GraspEnv(hand, config(hand)), np.random.default_rng(0), 0
+    env.reset(seed=SEED)
+    start = time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        *_, terminated, truncated, _ = env.step(rng.uniform(-0.5, 0.5, env.action_space.shape))
+        steps += 1
+        if terminated or truncated:
+            env.reset()
+    return {"steps_per_second": steps / (time.perf_counter() - start)}
+
+
+def speed(hand: str, device: str, n: int, steps: int) -> dict[str, Any]:
+    """Measure a batch's control steps a second; random actions, resets included."""
+    start = time.perf_counter()
+    env = BatchEnv(hand, [(config(hand), n)], device)
+    env.reset(seed=SEED)
+    made, rng, played = time.perf_counter() - start, np.random.default_rng(0), 0
+
+    def step() -> int:
+        *_, info = env.step(rng.uniform(-0.5, 0.5, env.action_space.shape))
+        return int((~info["holding"]).sum())
+
+    for _ in range(30):  # until worlds begin and end at all times
+        step()
+    start = time.perf_counter()
+    played = sum(step() for _ in range(steps))
+    seconds = (time.perf_counter() - start) / steps
+    start, n_substeps = time.perf_counter(), np.full(n, env.config.n_substeps)
+    for _ in range(5):
+        env.simulator.step(env._targets, n_substeps)
+        env.simulator.check()
+    physics = (time.perf_counter() - start) / 5
+    row = {"worlds": n, "steps_per_second": n / seconds, "without_hold_tests": played / steps / seconds}
+    row |= {"step_ms": 1e3 * seconds, "physics_ms": 1e3 * physics, "start_s": made}
+    row |= {"diverged": env.n_diverged, "no_room": env.n_overflowed, "steps": n * (steps + 30)}
+    env.close()
+    return row
+
+
+def alone(hand: str, layout: str, seeds: list[int]) -> list[tuple[bool, bool]]:
+    """Play a hand that closes at the first touch in MuJoCo; return whether it held and felt."""
+    on_one_thread()
+    env, results = GraspEnv(hand, config(hand, layout)), []
+    for seed in seeds:
+        env.reset(seed=seed)
+        felt, over, info = False, False, {}
+        while not over:
+            felt |= bool(env.taxel_readings().any())
+            *_, terminated, truncated, info = env.step(np.array([float(felt)]))
+            over = terminated or truncated
+        results.append((bool(info["is_success"]), felt))
+    return results
+
+
+def together(hand: str, device: str, n: int, compared: int) -> dict[str, Any]:
+    """Play the same in a batch of all layouts, and read taxels in some of its states in MuJoCo too."""
+    configs = [config(hand, layout) for layout in layouts(hand).values()]
+    env = BatchEnv(hand, [(scene, n) for scene in configs], device, AutoresetMode.DISABLED)
+    plain = [GraspEnv(hand, scene) for scene in configs]
+    env.reset(seed=[SEED + i for i in range(n)] * len(configs))
+    fired, over, held = (np.zeros(env.num_envs, bool) for _ in range(3))
+    taxels = np.zeros((len(configs), 3), int)
+    broken, steps, start = 0, 0, time.perf_counter()
+    while not over.all():
+        playing = ~over & ~env._holding
+        fired |= env.taxel_readings().any(1).cpu().numpy() & playing
+        if steps in (12, 20, 28, 36):
+            taxels += compare_taxels(env, plain, n, compared)
+        *_, terminated, truncated, info = env.step(fired[:, None].astype(float))
+        held |= info["is_success"]
+        broken += int(info["diverged"].sum())
+        over |= (terminated | truncated).cpu().numpy()
+        steps += 1
+    seconds, rows = time.perf_counter() - start, {}
+    for number, name in enumerate(layouts(hand)):
+        part, (same, on, all_) = slice(number * n, (number + 1) * n), taxels[number].tolist()
+        rows[name] = {"held": held[part].tolist(), "felt": fired[part].tolist()}
+        rows[name] |= {"taxels": all_, "taxels_alike": same, "taxels_on": on}
+    row = {"starts": n, "seconds": seconds, "diverged": env.n_diverged, "no_room": env.n_overflowed}
+    env.close()
+    return row | {"layouts": rows}
+
+
+def compare_taxels(env: BatchEnv, plain: list[GraspEnv], n: int, compared: int) -> Any:
+    """Return taxels that read alike, that are on, and all, (n_groups, 3), in states put into MuJoCo."""
+    state, counts = env.simulator.state(), []
+    felt = env.taxel_readings().cpu().numpy() > 0
+    tensors = state.joint_positions, state.object_position, state.object_orientation
+    parts = [part.cpu().numpy().astype(float) for part in tensors]
+    for number, single in enumerate(plain):
+        count = np.zeros(3, int)
+        for i in range(number * n, number * n + min(n, compared)):
+            item, simulator = env._items[i], single.simulator
+            simulator.change_object(item.shape, item.mass, item.friction)
+            simulator.place(*(part[i] for part in parts))  # type: ignore[attr-defined]
+            seen = single.taxel_readings()
+            count += (int((seen == felt[i, : len(seen)]).sum()), int(seen.sum()), len(seen))
+        counts.append(count)
+    return np.array(counts)
+
+
+def _ends(env: Any, states: Callable[[], Any]) -> Any:
+    """Return where objects are in the hand after each step of a hand that closes, (steps, n, 3)."""
+    places = []
+    for step in range(45):
+        env.step(np.full(env.action_space.shape, -0.1 if step < 38 else 1.0))
+        state = states()
+        places.append(np.asarray(state.object_position - state.palm).reshape(-1, 3))
+    return np.array(places)
+
+
+def reference(hand: str, timestep: float, seeds: list[int]) -> Any:
+    """Return the same in MuJoCo, float64 and well solved."""
+    on_one_thread()
+    env: Any = GraspEnv(hand, setting(hand, timestep))
+    env.simulator.model.opt.iterations, rows = 100, []
+    for seed in seeds:
+        env.reset(seed=seed)
+        env.task.sets_off, env.max_episode_steps, env.task.settles = 20, 10**6, 10**6
+        env.task.fallen = 10.0
+        rows.append(_ends(env, lambda: env.state)[:, 0])
+    return np.array(rows).swapaxes(0, 1)
+
+
+def setting(hand: str, timestep: float) -> GraspConfig:
+    """Return the scene with another timestep, of which nothing is drawn but the start."""
+    noise = ("joint_noise", "joint_noise_held", "slide_noise", "slide_noise_held")
+    exact: dict[str, Any] = dict.fromkeys(noise, 0.0)
+    return config(hand, timestep=timestep, control_dt=CONTROL_DT, object_size=(0.045,), **exact)
+
+
+def physics(
+    hand: str, device: str, timestep: float, iterations: int, seeds: list[int], right: Any
+) -> dict[str, Any]:
+    """Measure a setting's speed, and how far its objects are from the reference's."""
+    options = {} if device == "loop" else {"iterations": iterations}
+    env = BatchEnv(
+        hand, [(setting(hand, timestep), len(seeds))], device, AutoresetMode.DISABLED, **options
+    )
+    env.reset(seed=seeds)
+    env._task._sets_off[:], env.max_episode_steps = 20, 10**6
+    env.task.settles, env.task.fallen = 10**6, 10.0  # type: ignore[attr-defined]
+    start = time.perf_counter()
+    places = _ends(env, lambda: env._look()[1])
+    seconds = (time.perf_counter() - start) / len(places)
+    far = np.linalg.norm(places - right, axis=2)[28:]  # from touch on
+    row = {"worlds": len(seeds), "step_ms": 1e3 * seconds, "median_mm": 1e3 * float(np.median(far))}
+    kept, right_kept = (np.linalg.norm(p[-1], axis=1) < 0.12 for p in (places, right))
+    row |= {
+        "p90_mm": 1e3 * float(np.quantile(far, 0.9)),
+        "same_outcome": float((kept == right_kept).mean()),
+    }
+    env.close()
+    return row | {"diverged": env.n_diverged, "no_room": env.n_overflowed}
+
+
+class Rows:
+    """Lines of JSON, each with its key; what is there is not made again."""
+
+    def __init__(self, path: Any, seconds: float) -> None:
+        """Read what is there; begin nothing after some seconds."""
+        self._path, self._ends = path, time.monotonic() + seconds
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        self._keys = {json.dumps(json.loads(line)["key"]) for line in lines}
+
+    def __call__(self, key: list[Any], measure: Callable[[], dict[str, Any]]) -> None:
+        """Measure and write a row, unless it is there or time is up."""
+        if json.dumps(key) in self._keys:
+            return
+        if time.monotonic() > self._ends:
+            print(*key, "left out: time is up", flush=True)
+            return
+        try:
+            row = {"key": key, **measure()}
+        except Exception:  # the others may work, and a GPU's time is short
+            print(*key, traceback.format_exc(), flush=True)
+            return
+        finally:
+            gc.collect()
+        with self._path.open("a", encoding="utf-8") as file:
+            print(json.dumps(row), file=file)
+        shown = {name: value for name, value in row.items() if not isinstance(value, dict | list)}
+        print(*key, json.dumps(shown), flush=True)
+
+
+def score(
+    hand: str, device: str, n: int, compared: int, plain: dict[str, list[Future[Any]]]
+) -> dict[str, Any]:
+    """Return success and touch in the batch and in MuJoCo, and the paired difference with its error."""
+    row = together(hand, device, n, compared)
+    for name, futures in plain.items():
+        part = row["layouts"][name]
+        results = np.array([pair for future in futures for pair in future.result()], float)
+        mine = np.array([part.pop("held"), part.pop("felt")], float).T
+        difference = mine - results
+        for column, what in enumerate(("success", "felt")):
+            gap = difference[:, column]
+            part |= {what: mine[:, column].mean(), f"{what}_mujoco": results[:, column].mean()}
+            part |= {
+                f"{what}_difference": gap.mean(),
+                f"{what}_ci95": 1.96 * gap.std() / len(gap) ** 0.5,
+            }
+        part["same_outcome"] = float((difference[:, 0] == 0).mean())
+    flat = {
+        f"{name}: {what}": round(value, 4)
+        for name, part in row["layouts"].items()
+        for what, value in part.items()
+    }
+    return {**row, **flat}
+
+
+def main() -> None:
+    """Measure what is not in the file yet."""
+    flags = parser(__doc__)
+    flags.add_argument("--device", default="cuda", help="PyTorch's for MuJoCo Warp, or loop: MuJoCo")
+    flags.add_argument("--starts", type=count, default=2_000, help="of each hand and layout")
+    flags.add_argument("--worlds", type=count, help="for speed, instead of 16,384 and 8,192")
+    flags.add_argument("--seconds", type=float, default=540.0, help="begin nothing after")
+    flags.add_argument("--hands", default="mpl,shadow,allegro")
+    options = flags.parse_args()
+    if options.out is None:
+        flags.error("--out: found none, allowed a file")
+    rows, device, n = Rows(options.out, options.seconds), options.device, options.starts
+    hands, small = options.hands.split(","), n < 100
+    on_one_thread()
+    for hand in hands:
+        rows(["one CPU core", hand], partial(cpu_speed, hand, 0.5 if small else 3.0))
+    name = torch.cuda.get_device_name() if device == "cuda" else device
+    seeds = [SEED + i for i in range(n)]
+    cut = 2 if small else 125
+    few = seeds[: 2 if small else 256]
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+        plain = {
+            hand: {
+                layout: [pool.submit(alone, hand, path, seeds[i : i + cut]) for i in range(0, n, cut)]
+                for layout, path in layouts(hand).items()
+            }
+            for hand in hands
+            if json.dumps(["success", hand, name]) not in rows._keys
+        }
+        exact = [
+            pool.submit(reference, hands[0], 0.001, few[i : i + 16]) for i in range(0, len(few), 16)
+        ]
+        coarse = [
+            pool.submit(reference, hands[0], 0.004, few[i : i + 16]) for i in range(0, len(few), 16)
+        ]
+        for hand in hands:  # kernels compile for minutes, while the pool plays
+            size = options.worlds or WORLDS[hand]
+            rows(["speed", hand, name], partial(speed, hand, device, size, 3 if small else 40))
+        for hand in plain:
+            rows(
+                ["success", hand, name],
+                partial(score, hand, device, n, 2 if small else 100, plain[hand]),
+            )
+        right = np.concatenate([future.result() for future in exact], 1)
+        usual = np.concatenate([future.result() for future in coarse], 1)
+        far = 1e3 * np.linalg.norm(usual - right, axis=2)[28:]
+        errors = {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))}
+        rows(["settings", hands[0], "MuJoCo", 4, 100], lambda: errors)
+        for ms, iterations in SETTINGS[: 1 if small else None]:
+            measure = partial(physics, hands[0], device, ms / 1000, iterations, few, right)
+            rows(["settings", hands[0], name, ms, iterations], measure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,268 @@
+"""A batch of runs learns as each run does by itself."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector.utils import batch_space
+from tactilerl import algos
+from tactilerl.algos import batch, rollout
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.recipes import recipe
+from tactilerl.envs import vector
+from tactilerl.envs.toy import PointReachEnv
+
+SMALL = {"hidden": (16, 16)}
+
+
+class Point(PointReachEnv):
+    """Ends when the goal is reached; sees `n_seen` more numbers, of which the last may be a taxel."""
+
+    tolerance, max_episode_steps = 0.5, 12
+
+    def __init__(self, n_seen=0):
+        super().__init__()
+        self.n_seen = n_seen
+        low, high = np.full(2 + n_seen, -np.inf, np.float32), np.full(2 + n_seen, np.inf, np.float32)
+        low[2:], high[2:] = 0.0, 1.0
+        spaces = {**self.observation_space.spaces, "observation": gym.spaces.Box(low, high)}
+        self.observation_space = gym.spaces.Dict(spaces)
+
+    def step(self, action):
+        obs, reward, _, is_over, info = super().step(action)
+        is_there = info["is_success"]
+        return obs, reward, is_there, is_over and not is_there, info
+
+    def _obs(self):
+        obs = super()._obs()
+        seen = (np.arange(self.n_seen) < 3 * obs["observation"][0]).astype(np.float32)
+        return {**obs, "observation": np.append(obs["observation"], seen)}
+
+
+class PointBatch(gym.vector.VectorEnv):
+    """Points side by side, `worlds` a run; steps of some are not over at once."""
+
+    device = torch.device("cpu")
+
+    def __init__(self, seen, worlds):
+        self.points = [Point(n) for n in seen for _ in range(worlds)]
+        self.num_envs = len(self.points)
+        self.single_observation_space = Point(max(seen)).observation_space
+        self.single_action_space = self.points[0].action_space
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._seen = [None] * self.num_envs
+        self._over, self._waits = np.ones(self.num_envs, bool), np.zeros(self.num_envs, int)
+
+    def reset(self, *, seed=None, options=None):
+        for i in np.flatnonzero(options["reset_mask"]):
+            self._seen[i], _ = self.points[i].reset(seed=seed[i])
+            self._over[i], self._waits[i] = False, 0
+        return self._obs(), {}
+
+    def step(self, actions):
+        rewards, ends, cuts = np.zeros(self.num_envs, np.float32), self._over.copy(), self._over.copy()
+        success, holding = self._over & False, self._over & False
+        for i, (point, action) in enumerate(zip(self.points, actions.numpy(), strict=True)):
+            if self._over[i]:
+                continue
+            if self._waits[i] == 0:
+                self._result = None
+                self._later = getattr(self, "_later", {})
+                self._later[i] = point.step(action)
+                self._waits[i] = 3 if self._later[i][2] else 1
+            self._waits[i] -= 1
+            if self._waits[i]:
+                holding[i] = True
+                continue
+            self._seen[i], rewards[i], ends[i], cuts[i], info = self._later[i]
+            success[i], self._over[i] = info["is_success"], ends[i] or cuts[i]
+        info = {"is_success": success, "holding": holding, "diverged": holding & False}
+        return self._obs(), *map(torch.from_numpy, (rewards, ends, cuts)), info
+
+    def _obs(self):
+        width = self.single_observation_space["observation"].shape[0]
+        zero = self.points[0].reset(seed=0)[0] if None in self._seen else None
+        seen = [obs or zero for obs in self._seen]
+        rows = {key: [obs[key] for obs in seen] for key in seen[0]}
+        rows["observation"] = [np.pad(row, (0, width - len(row))) for row in rows["observation"]]
+        return {key: torch.from_numpy(np.stack(values)) for key, values in rows.items()}
+
+
+class OwnDraws(batch.Draws):
+    """The random numbers that single learners draw."""
+
+    def __init__(self, seeds):
+        self.seeds, self.streams = seeds, {}
+
+    def stream(self, *key, skip=False):
+        if key not in self.streams:
+            self.streams[key] = np.random.default_rng([*key])
+            if skip:
+                self.streams[key].integers(2**31)  # the episode's start
+        return self.streams[key]
+
+    def __call__(self, purpose, *counters, width):
+        shape = torch.broadcast_shapes(*(c.shape for c in counters if not isinstance(c, int)))
+        flat = [torch.as_tensor(c).expand(shape) for c in counters]
+        out = torch.full((*shape, width), 0.5, dtype=torch.float64)
+        for i, seed in enumerate(self.seeds):
+            if purpose == batch.ORDER:
+                epoch, n = int(flat[0][i]), int(self.n[i])
+                out[i, :n] = torch.from_numpy(self.stream(seed, 0, rollout.LEARN, epoch).random(n))
+            elif purpose == batch.PICK:
+                cycle, n = int(flat[0][i][0]), int(flat[1][i][0])
+                rng, total = self.stream(seed, 0, rollout.LEARN, cycle), int(self.totals(i, flat[2]))
+                picks = (rng.integers(total, size=n) + 0.5) / total
+                drawn = np.stack([picks, rng.random(n), rng.random(n)], axis=1)
+                out[i, :n] = torch.from_numpy(drawn)
+            else:
+                for w in range(shape[1]):
+                    if not self.moving[i, w]:
+                        continue
+                    key = seed, 0, purpose, *(int(c[i, w]) for c in flat[:2])
+                    rng = self.stream(*key, skip=True)
+                    d = width if self.of_ppo else width // 2
+                    normal = torch.from_numpy(rng.standard_normal((1, d), dtype=np.float32))
+                    out[i, w, :d] = torch.special.ndtr(normal.double())[0]
+                    if not self.of_ppo:
+                        out[i, w, d] = float(rng.random((1,))[0])
+                        out[i, w, d + 1 :] = torch.from_numpy(rng.random((1, d)))[0]
+        return out
+
+
+def single(algo, config, seed, n_seen, total=400):
+    _, kind = algos.get(algo)
+    workers = vector.start(lambda: Point(n_seen))
+    return kind(config, workers, Communicator(), seed, total)
+
+
+def stacked(learners, seen, worlds):
+    """A batch with the same random numbers as single learners."""
+    seeds = [one.seed for one in learners]
+    draws = OwnDraws(seeds)
+    kind = batch.BATCHED[type(learners[0])]
+    many = kind(learners, PointBatch(seen, worlds), draws)
+    draws.of_ppo = kind is batch.BatchPPO
+    original = many.worlds._wave
+
+    def wave(act, *rest):
+        def acting(obs, numbers, steps, moving):
+            draws.moving = moving
+            return act(obs, numbers, steps, moving)
+
+        return original(acting, *rest)
+
+    many.worlds._wave = wave
+    if draws.of_ppo:
+        prepare = many._batch
+
+        def prepared():
+            rows, parts, lengths = prepare()
+            draws.n = lengths
+            return rows, parts, lengths
+
+        many._batch = prepared
+    else:
+        sample = many._sample
+
+        def sampled(n, width, slots, number):
+            lengths = many.lengths
+            if slots is not None:
+                e = torch.arange(len(lengths))[:, None]
+                lengths = torch.where(slots >= 0, lengths[e, slots.clamp(min=0)], 0)
+            draws.totals = lambda i, _: lengths[i].sum()
+            return sample(n, width, slots, number)
+
+        many._sample = sampled
+    return many
+
+
+PPO_CONFIG = replace(
+    recipe("ppo", "robust"),
+    **SMALL,
+    steps_per_epoch=60,
+    minibatch_size=16,
+    n_passes=3,
+    critic_lr=1e-2,
+    target_kl=0.02,
+)
+HER_CONFIG = replace(
+    recipe("ddpg_her", "robust"), **SMALL, n_batches=6, batch_size=32, target_update_interval=4, n_cycles=2,
+    n_test_rollouts=2, random_hold=3.0,
+)  # fmt: skip
+
+
+def rows_of(one):
+    return {**one.collect(), **one.update()}
+
+
+@pytest.mark.parametrize(
+    ("algo", "config", "rates", "tolerance"),
+    [
+        ("ppo", PPO_CONFIG, (3e-3, 1e-3, 3e-2), 2e-3),
+        (
+            "ppo",
+            replace(recipe("ppo"), **SMALL, steps_per_epoch=50, n_passes=4),
+            (3e-4, 1e-3, 3e-3),
+            2e-3,
+        ),
+        ("ddpg_her", HER_CONFIG, (1e-3, 3e-3, 3e-4), 2e-3),
+        (
+            "ddpg_her",
+            replace(recipe("ddpg_her"), **SMALL, n_batches=5, n_test_rollouts=1),
+            (1e-3, 3e-3, 3e-4),
+            2e-3,
+        ),
+    ],
+)
+@pytest.mark.parametrize("worlds", [2, 9])
+def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worlds):
+    """Three runs of other seeds, rates and numbers of inputs, five epochs, whoever plays how many."""
+    seen, configs = (0, 2, 1), [replace(config, actor_lr=rate) for rate in rates]
+    make = [(algo, one, seed, n) for one, seed, n in zip(configs, (5, 6, 7), seen, strict=True)]
+    alone, learners = ([single(*args) for args in make] for _ in range(2))
+    many = stacked(learners, seen, worlds)
+    for _ in range(5):
+        expected = [rows_of(one) for one in alone]
+        collected, updated = many.collect(), many.update()
+        for want, got, learned in zip(expected, collected, updated, strict=True):
+            assert want.keys() == {**got, **learned}.keys()
+            assert {**got, **learned} == pytest.approx(want, rel=tolerance, abs=tolerance, nan_ok=True)
+    assert not many.failures
+    if algo == "ddpg_her":
+        for want, got in zip((one.test() for one in alone), many.test([True] * 3), strict=True):
+            assert got == pytest.approx(want, rel=1e-3)
+    for i, one in enumerate(alone):
+        _same(one.state_dict(), many.write(i).state_dict(), tolerance)
+
+
+def _same(want, got, tolerance, where=""):
+    if isinstance(want, dict):
+        assert want.keys() == got.keys(), where
+        for key in want:
+            _same(want[key], got[key], tolerance, f"{where} {key}")
+    elif isinstance(want, list):
+        for a, b in zip(want, got, strict=True):
+            _same(a, b, tolerance, where)
+    elif isinstance(want, torch.Tensor):
+        torch.testing.assert_close(
+            got, want, rtol=tolerance, atol=tolerance, msg=lambda m: f"{where}: {m}"
+        )
+    elif isinstance(want, float) and "lr" not in where:
+        assert got == pytest.approx(want, rel=tolerance), where
+
+
+def test_draws_are_uniform_and_follow_from_seed_and_counters_alone():
+    draws, counters = batch.Draws(torch.tensor([1, 2])), torch.arange(5).expand(2, 5)
+    drawn = draws(3, counters, 7, width=4000)
+    assert torch.equal(
+        drawn[1:, 2:], batch.Draws(torch.tensor([2]))(3, counters[:1, 2:], 7, width=4000)
+    )
+    assert float((drawn.mean(dim=2) - 0.5).abs().max()) < 0.02
+    assert float((drawn.std(dim=2) - 12**-0.5).abs().max()) < 0.01
+    flat = drawn.flatten(0, 1)
+    assert float((torch.corrcoef(flat) - torch.eye(10)).abs().max()) < 0.06
+    normal = batch._normal(drawn)
+    assert float((normal.pow(4).mean() - 3).abs()) < 0.2

@@ -1,0 +1,270 @@
+"""A batch of worlds plays what GraspEnv plays."""
+
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import tactilerl
+import torch
+from gymnasium.vector import AutoresetMode
+from tactilerl import envs
+from tactilerl.envs.batch import BatchEnv, DeviceDraws
+from tactilerl.envs.grasp import GraspConfig, GraspEnv
+
+NOISY = dict(object_seen="noisy", joint_noise=0.02, joint_noise_held=0.05, slide_noise=0.001)
+FAULTS = dict(
+    taxel_false_on=0.02,
+    taxel_false_off=0.1,
+    taxel_dead=0.1,
+    taxel_stuck=0.05,
+    taxel_delay=2,
+    hand_seed=3,
+)
+
+
+def config(hand: str, scene: str = "handover_anywhere", **choices: Any) -> GraspConfig:
+    """Return a scene's configuration on a hand, in MuJoCo."""
+    env: Any = envs.make(hand, scene=scene, simulator="mujoco", **choices)
+    return env.unwrapped.config
+
+
+def play(env: Any, seed: int, actions: Any) -> list[Any]:
+    """Return an episode's (obs, reward, terminated, truncated, is_success), the start first."""
+    obs, _ = env.reset(seed=seed)
+    steps = [(obs, 0.0, False, False, False)]
+    while not any(steps[-1][2:4]):
+        obs, *rest, info = env.step(actions(seed, len(steps)))
+        steps.append((obs, *rest, info["is_success"]))
+    return steps
+
+
+def play_batch(env: BatchEnv, seeds: list[int], actions: Any) -> list[list[Any]]:
+    """Return the same of one episode in each world."""
+    obs, info = env.reset(seed=seeds)
+    episodes = [[(row(obs, i), 0.0, False, False, False)] for i in range(len(seeds))]
+    over = np.zeros(len(seeds), bool)
+    while not over.all():
+        acts = [actions(seed, len(steps)) for seed, steps in zip(seeds, episodes, strict=True)]
+        obs, reward, terminated, truncated, info = env.step(np.array(acts))
+        ends = terminated | truncated
+        for i in np.flatnonzero(~over & ~info["holding"]):
+            episodes[i].append(
+                (row(obs, i), reward[i], terminated[i], truncated[i], info["is_success"][i])
+            )
+        over |= ends
+    return episodes
+
+
+def row(obs: Any, i: int) -> Any:
+    return {key: value[i].copy() for key, value in obs.items()}
+
+
+def act(hand_closes_at: int, size: int) -> Any:
+    """Return a rule of actions that closes the hand from some step on, with a little noise."""
+
+    def actions(seed: int, step: int) -> Any:
+        noise = 0.1 * np.random.default_rng([seed, step]).standard_normal(size)
+        return np.clip(np.where(step < hand_closes_at + seed % 4, -0.2, 0.9) + noise, -1, 1)
+
+    return actions
+
+
+def assert_alike(
+    hand: str, groups: list[GraspConfig], seeds: list[int], actions: Any, least: float = 0.0
+) -> list[Any]:
+    """Play the same episodes in a batch, two a group, and one by one."""
+    batch = BatchEnv(hand, [(group, 2) for group in groups], "loop", AutoresetMode.DISABLED, numpy=True)
+    together = play_batch(batch, seeds, actions)
+    returns = []
+    for group, width, *pairs in zip(
+        [g for g in groups for _ in "ab"],
+        [w for w in batch.widths for _ in "ab"],
+        seeds,
+        together,
+        strict=True,
+    ):
+        seed, played = pairs
+        env = GraspEnv(hand, group)
+        alone = play(env, seed, actions)
+        assert len(alone) == len(played), seed
+        for (obs, *rest), (seen, *found) in zip(alone, played, strict=True):
+            np.testing.assert_allclose(seen["observation"][:width], obs["observation"], atol=1e-5)
+            assert not seen["observation"][width:].any()
+            for goal in ("achieved_goal", "desired_goal"):
+                np.testing.assert_allclose(seen[goal], obs[goal], atol=1e-6)
+            np.testing.assert_allclose(found, rest, rtol=1e-6)
+        returns.append(alone[-1][1])
+        env.close()
+    batch.close()
+    return returns
+
+
+@pytest.mark.parametrize("hand", ["mpl", "shadow", "allegro"])
+def test_handover_with_noise_in_groups_of_layouts_touch_and_faults(hand: str) -> None:
+    first = config(hand, layout="1", **NOISY)
+    groups = [
+        first,
+        replace(first, layout="5", **FAULTS),
+        replace(first, layout="5", taxel_threshold=0.05, taxel_release=0.02),
+        replace(first, touch="off"),
+        replace(first, touch="absent"),
+    ]
+    returns = assert_alike(hand, groups, list(range(10)), act(15, 1))
+    assert {-100.0, 1000.0} & set(returns)
+
+
+def grasp(seed: int, step: int) -> Any:
+    """Return actions of the MPL hand that lower it, close it and lift what it has."""
+    down = 2 + seed % 3
+    return np.array(
+        [0, 0, -1.0 if step <= down else float(step > down + 15), *[float(step > down)] * 4]
+    )
+
+
+def swing(seed: int, step: int) -> Any:
+    """Return actions of every joint of the Shadow Hand."""
+    return np.random.default_rng([seed, step]).uniform(-1, 1, 23)
+
+
+SHORT = dict(object_size="0.04..0.05", max_episode_steps=15, history=3)
+HELD = {"full": dict(hold_seconds=2.0), "settled": dict(hold_verdict="settled")}
+
+
+@pytest.mark.parametrize(
+    ("hand", "choices", "actions", "returns"),
+    [
+        ("mpl", dict(object_size=0.04, **HELD["full"]), grasp, 1000.0),
+        ("mpl", dict(object_size=0.04, **HELD["settled"], taxel_threshold=0.1), grasp, 1000.0),
+        ("mpl", dict(object="cylinder", touch_rule="force", **SHORT), grasp, -100.0),
+        ("shadow", dict(object="sphere", sight_noise_kind="held", **SHORT, **NOISY), swing, -100.0),
+        ("shadow", dict(task="reach-goal", reward="dense", object_seen="start"), swing, None),
+    ],
+    ids=["full hold", "settled hold", "force", "late", "goals"],
+)  # fmt: skip
+def test_tasks_of_the_paper(hand: str, choices: Any, actions: Any, returns: float | None) -> None:
+    env: Any = envs.make(hand, simulator="mujoco", **choices)
+    first = env.unwrapped.config
+    found = assert_alike(hand, [first, replace(first, layout="5", touch="on")], [0, 1, 2, 3], actions)
+    assert returns is None or returns in found
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_autoreset_goes_on_as_grasp_env_does(mode: AutoresetMode) -> None:
+    first = config("mpl", layout="1", joint_noise_held=0.01)
+    batch = BatchEnv("mpl", [(first, 2)], "loop", mode, numpy=True)
+    env, rule = GraspEnv("mpl", first), act(15, 1)
+    batch.reset(seed=[7, 8])
+    play(env, 7, rule)
+    again, _ = env.reset()
+    over = np.zeros(2, bool)
+    for step in range(1, 80):
+        obs, _, terminated, truncated, info = batch.step(np.array([rule(7, step), rule(8, step)]))
+        if over[0]:
+            break
+        over |= terminated | truncated
+        if over[0] and mode == AutoresetMode.SAME_STEP:
+            assert info["_final_obs"][0]
+            assert np.abs(info["final_obs"]["observation"][0] - obs["observation"][0]).max() > 0.01
+            break
+    if mode == AutoresetMode.DISABLED:
+        assert not terminated[0]
+        obs, _ = batch.reset(options={"reset_mask": np.array([True, False])})
+    np.testing.assert_allclose(obs["observation"][0], again["observation"], atol=1e-5)
+
+
+def test_device_draws_are_a_worlds_own_and_even() -> None:
+    def drawn(seeds: list[int], n: int) -> Any:
+        draws = DeviceDraws(
+            len(seeds), lambda values: torch.as_tensor(np.asarray(values), dtype=torch.float64)
+        )
+        for i, seed in enumerate(seeds):
+            draws.begin(i, np.random.default_rng(seed))
+        return np.stack(
+            [
+                draws("joints", np.ones(len(seeds), bool), np.full(len(seeds), 25)).numpy()
+                for _ in range(n)
+            ]
+        )
+
+    values = drawn(list(range(40)), 50)
+    assert abs(values.mean()) < 0.02
+    assert abs(values.std() - 1) < 0.02
+    assert abs(np.corrcoef(values[:, 0].ravel(), values[:, 1].ravel())[0, 1]) < 0.1
+    assert abs(np.corrcoef(values[:-1].ravel(), values[1:].ravel())[0, 1]) < 0.02
+    assert (drawn([3], 50)[:, 0] == values[:, 3]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (dict(friction=0.5), "friction"),
+        (dict(simulator="pybullet"), "simulator"),
+    ],
+)
+def test_scenes_that_do_not_go_together_are_named(change: Any, named: str) -> None:
+    first = config("mpl")
+    groups = [(first, 1), (replace(first, **change), 1)]
+    with pytest.raises(ValueError, match=named):
+        BatchEnv("mpl", groups, "loop")
+    with pytest.raises(ValueError, match="touch_rule: found 'contact'"):
+        BatchEnv("mpl", [(replace(first, touch_rule="contact"), 1)], "loop")
+    batch = BatchEnv("mpl", [(first, 1)], "loop")
+    batch.reset(seed=0)
+    with pytest.raises(ValueError, match="actions: found NaN"):
+        batch.step([[np.nan]])
+
+
+def test_a_world_that_diverges_ends_alone() -> None:
+    first = config("mpl")
+    batch: Any = BatchEnv("mpl", [(first, 2)], "loop", AutoresetMode.DISABLED, numpy=True)
+    batch.reset(seed=0)
+    before, *_ = batch.step(np.zeros((2, 1)))
+    batch.simulator.worlds[1].data.qvel[:] = np.nan
+    obs, reward, terminated, truncated, info = batch.step(np.zeros((2, 1)))
+    assert info["diverged"].tolist() == truncated.tolist() == [False, True]
+    assert not terminated.any()
+    assert not reward.any()
+    np.testing.assert_array_equal(obs["observation"][1], before["observation"][1])
+    assert np.isfinite(obs["observation"]).all()
+    assert batch.n_diverged == 1
+
+
+def test_by_name() -> None:
+    """Worlds are shared out between layouts, and Gymnasium finds the batch by a scene's id."""
+    batch = tactilerl.make_vec(scene="handover", simulator="mujoco", n=5, layouts=(1, 5), device="loop")
+    assert batch.group_sizes == (2, 3)
+    obs, _ = batch.reset(seed=0)
+    assert obs["observation"].shape == (5, max(batch.widths))
+    assert obs["observation"].dtype == torch.float32
+    batch.close()
+    found: Any = gym.make_vec(
+        "tactilerl/HandoverBatch-v0", num_envs=2, vectorization_mode="vector_entry_point", device="loop"
+    )
+    assert isinstance(found, BatchEnv)
+    found.reset(seed=0)
+    found.step(found.action_space.sample())
+    found.close()
+    with pytest.raises(ValueError, match="n: found 1"):
+        tactilerl.make_vec("mpl", simulator="mujoco", n=1, layouts=(1, 5), device="loop")
+    if not torch.cuda.is_available():
+        with pytest.raises(ValueError, match="device: found no GPU"):
+            tactilerl.make_vec("mpl", simulator="mujoco")
+
+
+@pytest.mark.slow
+def test_warp_on_the_cpu_plays_what_mujoco_plays() -> None:
+    pytest.importorskip("mujoco_warp")
+    first = config("mpl", layout="1", **NOISY)
+    groups = [(first, 1), (replace(first, layout="5", taxel_threshold=0.05), 1)]
+    ends = []
+    for device in ("cpu", "loop"):
+        batch = BatchEnv("mpl", groups, device, AutoresetMode.DISABLED, numpy=True, draws="host")
+        episodes = play_batch(batch, [0, 1], act(15, 1))
+        assert not batch.n_overflowed
+        ends.append([steps[-1][1:] for steps in episodes])
+        starts = np.array([[step[0]["observation"] for step in steps[:16]] for steps in episodes])
+        ends[-1].append(starts)
+    np.testing.assert_allclose(ends[0].pop(), ends[1].pop(), atol=1e-4)
+    assert ends[0] == ends[1]

@@ -1,0 +1,123 @@
+"""`study run --on gpu`, on MuJoCo in a loop in place of a GPU."""
+
+import json
+import shutil
+
+import pytest
+import torch
+from tactilerl.commands.cli import main
+from tactilerl.study import batch, grid, records
+from tactilerl.study.records import StudyFiles
+from tests.one_line import fails_with
+from tests.tiny_study import write
+
+STUDY = """
+name = "small"
+[grid]
+layout = ["1", "2"]
+seed = "0-1"
+[setups.ppo]
+scene = "handover_anywhere"
+env = "mpl"
+simulator = "mujoco"
+algo = "ppo"
+recipe = "robust"
+hidden = [8]
+steps_per_epoch = 60
+total_timesteps = 100
+[setups.ddpg_her]
+scene = "handover_anywhere"
+env = "mpl"
+simulator = "mujoco"
+algo = "ddpg_her"
+recipe = "robust"
+hidden = [8]
+n_cycles = 1
+n_batches = 2
+batch_size = 8
+n_test_rollouts = 1
+total_timesteps = 100
+grid = {touch = ["on", "off"], seed = 0}
+compare = {touch = ["on", "off"]}
+[setups.bullet]
+env = "mpl"
+simulator = "pybullet"
+grid = {seed = 0}
+"""
+
+
+@pytest.fixture
+def in_a_loop(monkeypatch, trained_here):
+    monkeypatch.setenv(batch.DEVICE, "loop")
+    monkeypatch.setattr(batch, "SPARE", 0.5)
+
+
+def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, capsys, monkeypatch):
+    out, study = tmp_path / "out", write(tmp_path, STUDY)
+    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "2"]
+    assert main(args) == 0
+    said = capsys.readouterr().out
+    assert "not on a GPU: bullet_s0: simulator: found 'pybullet'" in said
+    assert "batch mpl ppo: 4 runs" in said
+    assert "batch mpl ddpg_her: 2 runs" in said
+    all_records = [one for one in records.load(out)[1] if one.run.setup != "bullet"]
+    assert [one.state for one in all_records] == 6 * ["done"]
+    for one in all_records:
+        (made,) = one.config["provenance"]
+        assert made["batch"]["runs"] == (4 if one.run.setup == "ppo" else 2)
+    assert main(["study", "status", str(out)]) == 0
+    assert main(["study", "report", str(out), "--resamples", "200"]) == 0
+    files = StudyFiles(out)
+    for one in all_records[::3]:
+        run_dir = str(files.run_dir(one.run).path)
+        assert main(["evaluate", run_dir, "--episodes", "2", "--workers", "1"]) == 0
+        args = ["train", "--resume", run_dir, "--total-timesteps", "140", "--workers", "1"]
+        fails_with(capsys, args, "anneals")
+    capsys.readouterr()
+
+
+def test_a_batch_that_was_killed_goes_on_as_if_it_had_not_been(
+    tmp_path, in_a_loop, monkeypatch, capsys
+):
+    """At another moment for each run: between their files."""
+    text = STUDY.partition("[setups.bullet]")[0]
+    study = write(tmp_path, text.replace("= 100", "= 200"))
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    run = ["study", "run", str(study), "--on", "gpu", "--jobs", "1", "--out"]
+    assert main([*run, str(whole)]) == 0
+    monkeypatch.setattr(batch, "SAVE_EVERY", 0.0)
+    save, saves = batch.Checkpoint.save, []
+
+    def dies(self, epoch):
+        saves.append(epoch)
+        if len(saves) in (11, 23):
+            raise KeyboardInterrupt
+        save(self, epoch)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch.Checkpoint, "save", dies)
+        codes = [main([*run, str(cut)]) for _ in range(3)]
+    assert codes[-1] == 0
+    assert any(codes)
+    capsys.readouterr()
+    for one in grid.read(study).runs():
+        first, second = (StudyFiles(out).run_dir(one) for out in (whole, cut))
+        times = {"collect_s", "update_s", "steps_per_s"}
+        tables = [
+            [{k: float(v or "nan") for k, v in row.items() if k not in times} for row in d.rows()]
+            for d in (first, second)
+        ]
+        assert len(tables[0]) == len(tables[1])
+        for want, got in zip(*tables, strict=True):
+            assert got == pytest.approx(want, rel=1e-3, nan_ok=True)
+        assert json.loads(second.config_file.read_text())["provenance"][0]["epoch"] == 0
+
+
+def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv(batch.DEVICE, raising=False)
+    args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]
+    has_extra = shutil.which("nvidia-smi") or torch.cuda.is_available()
+    if has_extra:
+        pytest.skip("there is one")
+    fails_with(capsys, args, "gpu")
+    assert not (tmp_path / "out").exists()
