@@ -265,6 +265,20 @@ class Policy:
         actions = self._actions([*views], noise)
         return self.to_env(actions[0] if n is None else actions)
 
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Array, None]:
+        """Return (actions, None), as a model of Stable-Baselines3 does, whose tools can play it.
+
+        Noise is drawn anew at every call; for noise from a seed, see `act`.
+        """
+        rng = None if deterministic else np.random.default_rng()
+        return self.act(observation, deterministic, rng), None
+
     def read(self, obs: Any) -> Any:
         """Return what is kept of an observation from an environment.
 
