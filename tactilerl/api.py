@@ -115,6 +115,10 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
+        if callback is not None and not callable(callback):
+            raise ValueError(
+                f"callback: found {callback!r}, allowed a function of a row"
+            )
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.require(RunOptions, vars(run))
         # Its workers are in the process that made it, and it would wait for them.
@@ -266,6 +270,9 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
+    for name, value in {"out": out, "resume": resume}.items():
+        if value is not None and (value == "" or not isinstance(value, str | Path)):
+            raise ValueError(f"{name}: found {value!r}, allowed a folder")
     base = resolve(algo, env or "", recipe, scene, resume)
     named = {"env": env, "algo": algo, "out": out and str(out)}
     flags |= {name: value for name, value in named.items() if value is not None}

@@ -6,7 +6,9 @@ No environment is made for them, and no learner.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,8 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .. import algos
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, Spaces
+from ..envs import validation
 from ..files import damage_named
-from .config import RunConfig, from_saved
+from .config import RunConfig
 from .store import RunDir, read_tensors, write_tensors
 
 if TYPE_CHECKING:
@@ -48,17 +51,36 @@ def load_policy(path: str | Path) -> Policy:
     observation, or for a batch of observations. Files of others are safe to load: only tensors and
     plain values are read. Raises ValueError, one line, when there is no policy or its file is damaged.
     """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"path: found {path!r}, allowed a run folder or a file")
     path = Path(path)
     if path.is_dir():
         return read_run(path).policy
     data = _read(path)
     with damage_named(path):
         config_type, learner_type = algos.get(data["algo"])
-        config = from_saved(config_type, json.loads(data["learner"]), "learner")
+        config = validation.fill(config_type, json.loads(data["learner"]), "learner")
         config.validate()
-        spaces = Spaces.from_json(data["spaces"])
+        spaces = _spaces(path, data["spaces"], config.hidden)
         policy: Policy = learner_type.saved_policy(config, spaces, data["state"])
         return policy
+
+
+def _spaces(path: Path, text: str, hidden: tuple[int, ...]) -> Spaces:
+    """Return a policy's spaces; ValueError where its file is too small for weights of their sizes.
+
+    So what is made from a file takes no more memory than a few times the file.
+    """
+    most = path.stat().st_size // 4  # numbers of float32
+    known = json.loads(text)
+    n_inputs = sum(map(math.prod, known["observation"].values()))
+    layers = [n_inputs // 2, *hidden, math.prod(known["action"]["shape"])]
+    weights = [n_in * n_out for n_in, n_out in itertools.pairwise(layers)]
+    if max(n_inputs, len(layers), sum(weights)) > most:
+        raise ValueError(
+            f"it says {sum(weights):,} weights or more, and has up to {most:,}"
+        )
+    return Spaces.from_json(text)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -99,7 +121,10 @@ def read_run(path: Path) -> Trained:
     saved = run_dir.read_config()
     data, file = run_dir.read_checkpoint(saved), run_dir.checkpoint_file
     with damage_named(file):
-        spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
+        spaces, state = (
+            _spaces(file, data["spaces"], saved.learner.hidden),
+            data["ranks"][0],
+        )
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
         acting = saved.learner.acting(remaining)
         learner_type = algos.get(saved.run.algo)[1]

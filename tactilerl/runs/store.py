@@ -85,9 +85,14 @@ class ConfigFile(TypedDict):
 
 
 def write_tensors(path: Path, content: Values) -> None:
-    """Write tensors and plain values, whole or not at all."""
+    """Write tensors and plain values, whole or not at all; OSError where the disk is full."""
     with replacing(path) as file:
-        torch.save(content, file)
+        try:
+            torch.save(content, file)
+        except RuntimeError as error:  # what PyTorch makes of a full disk
+            if isinstance(error.__context__, OSError):
+                raise error.__context__ from None
+            raise
 
 
 def read_tensors(
@@ -101,8 +106,11 @@ def read_tensors(
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):
+            entries = archive.infolist()
+            if any(entry.compress_type for entry in entries):
                 raise ValueError("it is compressed, as torch.save does not write it")
+            if sum(entry.file_size for entry in entries) > path.stat().st_size:
+                raise ValueError("its parts overlap")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
@@ -194,7 +202,7 @@ class RunDir:
                 config = from_dict({name: data[name] for name in PARTS})
             except InputError as error:
                 version = data["provenance"][-1]["versions"].get("tactilerl")
-                made = f"made by version {version}; this one reads runs of 0.4.0 on"
+                made = f"made by version {version}; this one reads runs of 0.5.0 on"
                 raise InputError(f"{error} ({made})") from error
         hand = str(data.get("hand", ""))
         return dataclasses.replace(config, folder=self.path, hand=hand)
@@ -224,6 +232,11 @@ class RunDir:
             )
             if columns is None:
                 writer.writeheader()
+            elif lost := [name for name in columns if name not in rows[0]]:
+                raise InputError(
+                    f"{self.table}: its header has {lost[0][:50]!r}, which this run does not write; "
+                    "put back the header that it had"
+                )
             writer.writerows(rows)
             file.flush()
             os.fsync(file.fileno())
@@ -300,7 +313,7 @@ def as_record(data: Any) -> Values:
     """Return the values of a config.json; ValueError where they are something else."""
     require_type(data, Values, "record")
     if data.get("format") != FORMAT:
-        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.4.0 on")
+        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
     require_type(data, ConfigFile, "record")
     return dict(data)
 
@@ -328,6 +341,8 @@ def parse(text: str) -> tuple[list[Row], str]:
             before = now
             for column, field in row.items():
                 low, high = (0.0, 1.0) if column.endswith(RATE_SUFFIX) else FINITE
+                if column.removeprefix("test_") == "diverged":  # a count of episodes
+                    low, high = 0.0, 1e15
                 if not (low <= (value := float(field or 0)) <= high or value != value):
                     raise ValueError(f"{column}: found {field[:50]}")
             rows.append(row)

@@ -234,10 +234,12 @@ def collect(path: Path, out: Path | None = None) -> Path:
 
 def _unpacked(path: Path) -> dict[str, bytes]:
     """Return the files in a packed file, by name; they are never written by that name."""
-    with damage_named(path, "not a collected study of 0.4.0 or later"):
+    with damage_named(path, "not a collected study of this version"):
         data, files = read_whole(path, is_packed=True), {}
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
+                if entry.size < 0:  # it would be read again and again
+                    raise ValueError(f"{entry.name[:50]}: a size of {entry.size}")
                 if entry.type == tarfile.REGTYPE and not entry.issparse():
                     file = archive.extractfile(entry)
                     files[entry.name] = file.read() if file else b""

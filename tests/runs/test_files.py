@@ -21,6 +21,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
+from tactilerl.runs.policies import load_policy
 from tactilerl.runs.store import RunDir
 
 from one_line import fails_with, python
@@ -281,7 +282,7 @@ class TestConfig:
             (None, "ranks", float("inf"), "ranks: found inf"),
             (None, "scene", [], "scene: found"),
             (None, "provenance", [{"epoch": 0}], "provenance"),
-            (None, "format", 2, "this version reads runs of 0.4.0 on"),
+            (None, "format", 2, "this version reads runs of 0.5.0 on"),
         ],
     )
     def test_another_type_in_any_field(self, ppo, capsys, part, name, value, words):
@@ -291,17 +292,12 @@ class TestConfig:
         fails_with(capsys, ["evaluate", "run"], "config.json", words)
         fails_with(capsys, RESUME, "config.json", words)
 
-    def test_a_run_of_an_older_version_is_named_and_one_of_0_4_is_read(self, ppo, capsys):
+    def test_a_run_of_an_older_version_is_named(self, ppo, capsys):
         data = json.loads(CONFIG.read_text())
-        for version, name, code in (("0.4.0", "critic_sees", 0), ("0.3.0", "run_type", 2)):
-            data["provenance"][0]["versions"]["tactilerl"] = version
-            data["learner"] |= {name: "observation"}
-            del data["learner"]["target_kl"]
-            CONFIG.write_text(json.dumps(data))
-            data["learner"]["target_kl"] = None
-            if code:
-                fails_with(capsys, RESUME, "made by version 0.3.0; this one reads runs of 0.4.0")
-            assert main(RESUME) == code
+        data["provenance"][0]["versions"]["tactilerl"] = "0.4.0"
+        data["learner"] |= {"critic_sees": "observation"}
+        CONFIG.write_text(json.dumps(data))
+        fails_with(capsys, RESUME, "made by version 0.4.0; this one reads runs of 0.5.0")
 
     @pytest.mark.parametrize("text", ["", "[" * 200_000, "9" * 5000, "{}", "[]", "\0", "\ufeff{}"])
     def test_what_is_no_configuration(self, ppo, capsys, text):
@@ -360,3 +356,40 @@ class TestTerminal:
             "tactilerl: interrupted; the last checkpoint is kept: --resume new --import cut\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("wrong", ["inputs", "layers"])
+def test_a_policy_takes_no_more_memory_than_its_file_could_hold(tmp_path, wrong):
+    path = tmp_path / "small.pt"
+    shape, hidden = ([10**7], [8]) if wrong == "inputs" else ([2], [300] * 1000)
+    action = {"shape": [1], "dtype": "float32", "low": [-1], "high": [1]}
+    spaces = json.dumps({"observation": {"": shape}, "action": action})
+    content = {"policy_format": 1, "algo": "ppo", "learner": json.dumps({"hidden": hidden})}
+    torch.save({**content, "spaces": spaces, "state": {}}, path)
+    with pytest.raises(ValueError, match="weights or more"):
+        load_policy(path)
+
+
+def test_a_full_disk_is_an_error_of_the_disk(tmp_path):
+    code = """if True:
+        import pathlib, resource, torch
+        from tactilerl.runs import store
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        try:
+            store.write_tensors(pathlib.Path("x.pt"), {"x": torch.zeros(10**6)})
+        except OSError as error:
+            print(error.strerror, *pathlib.Path().iterdir())
+    """
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ended.stdout == "File too large\n", ended.stderr
+
+
+def test_a_header_with_another_letter_and_a_count_beyond_all_are_named(tmp_path):
+    run = RunDir(tmp_path)
+    run.append({"epoch": 1, "env_steps": 10, "mean_return": 1.0})
+    run.table.write_text(run.table.read_text().replace("mean_return", "mean_retusn"))
+    with pytest.raises(InputError, match="its header has 'mean_retusn'"):
+        run.append({"epoch": 2, "env_steps": 20, "mean_return": 2.0})
+    assert "diverged" in store.parse("epoch,env_steps,diverged\n1,10,1e308\n")[1]

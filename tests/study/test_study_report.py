@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -164,9 +165,15 @@ class TestWarnings:
         fails_with(capsys, ["study", "collect", tmp_path / ("x" * 300)], "xxx")
         (tmp_path / "mine").write_text("")
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
+        entry = tarfile.TarInfo("neg").tobuf()  # read again and again: its size leads back to it
+        size = (2**88 - 512).to_bytes(11, "big")
+        entry = entry[:124] + b"\xff" + size + entry[136:148] + b" " * 8 + entry[156:]
+        total = b"%06o\0 " % sum(entry)
+        (tmp_path / "neg.tar.gz").write_bytes(gzip.compress(entry[:148] + total + entry[156:]))
+        fails_with(capsys, ["study", "status", tmp_path / "neg.tar.gz"], "a size of -512")
         old = tmp_path / "old.tar.gz"  # of 0.3.0
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
-        fails_with(capsys, ["study", "status", old], "not a collected study of 0.4.0")
+        fails_with(capsys, ["study", "status", old], "not a collected study")
 
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
