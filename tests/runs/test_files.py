@@ -380,9 +380,7 @@ def test_a_full_disk_is_an_error_of_the_disk(tmp_path):
         except OSError as error:
             print(error.strerror, *pathlib.Path().iterdir())
     """
-    ended = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
-    )
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert ended.stdout == "File too large\n", ended.stderr
 
 
