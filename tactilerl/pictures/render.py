@@ -100,8 +100,8 @@ def staged(
 ) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's scene, and a function that plays its policy there and returns its success.
 
-    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start. Raise
-    InputError where the run is not of a grasping scene.
+    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start.
+    Raise InputError where the run is not of a grasping scene.
     """
     import torch
 
