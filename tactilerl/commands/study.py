@@ -33,9 +33,9 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
-    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or numbers
-    of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf, sge or
-    htcondor (extra: cluster).
+    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or
+    numbers of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf,
+    sge or htcondor (extra: cluster).
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
     """Runs trained side by side; default: one per core. On a GPU: batches; default: 6. With a batch

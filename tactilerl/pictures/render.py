@@ -100,8 +100,8 @@ def staged(
 ) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's scene, and a function that plays its policy there and returns its success.
 
-    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start. Raise
-    InputError where the run is not of a grasping scene.
+    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start.
+    Raise InputError where the run is not of a grasping scene.
     """
     import torch
 
@@ -179,8 +179,8 @@ def film(
     """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
     Yield the success of each, episode by episode, those of `numbers`. A hold test is as long as
-    `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand. `tick` is called after every picture. InputError when a
-    run's environment is not a grasping one.
+    `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand.
+    `tick` is called after every picture. InputError when a run's environment is not a grasping one.
     """
     ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
     distance = FARTHER * camera.distance
