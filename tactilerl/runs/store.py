@@ -101,8 +101,11 @@ def read_tensors(
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):
+            entries = archive.infolist()
+            if any(entry.compress_type for entry in entries):
                 raise ValueError("it is compressed, as torch.save does not write it")
+            if sum(entry.file_size for entry in entries) > file.seek(0, os.SEEK_END):
+                raise ValueError("its entries overlap")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)

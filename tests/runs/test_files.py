@@ -133,6 +133,13 @@ class TestCheckpoint:
         fails_with(capsys, RESUME, "checkpoint.pt", words)
         assert not Path("hacked").exists()
 
+    def test_entries_that_overlap(self, ppo, capsys):
+        """A bomb too: each of a thousand is all of the file."""
+        with zipfile.ZipFile(CHECKPOINT, "a") as archive:
+            archive.filelist += 1000 * archive.filelist
+            archive._didModify = True
+        fails_with(capsys, RESUME, "checkpoint.pt: damaged", "entries overlap")
+
     @pytest.mark.parametrize("algo", ["ppo", "her"])
     def test_missing_checkpoint_of_a_run_with_progress(self, made, capsys, algo):
         shutil.copytree(made / algo, "run")
