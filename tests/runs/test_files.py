@@ -151,12 +151,21 @@ class TestCheckpoint:
         assert TABLE.read_bytes() == before
 
 
+def with_field(rows, column, value):
+    """A table whose last row has another value in one column."""
+    fields = rows[-1].split(b",")
+    fields[rows[0].split(b",").index(column)] = value
+    return b"".join([*rows[:-1], b",".join(fields)])
+
+
 class TestProgress:
     @pytest.mark.parametrize(
         ("damage", "words"),
         [
             (lambda rows: b"", "found epochs up to 0, the checkpoint's is 3"),
             (lambda rows: b"".join(rows)[:-9], "found epochs up to 2"),
+            (lambda rows: with_field(rows, b"diverged", b"1e308"), "diverged: found 1e308"),
+            (lambda rows: with_field(rows, b"collect_s", b"-1"), "collect_s: found -1"),
             (lambda rows: b"a,b,c\n" + b"".join(rows[1:]), "header"),
             (lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]), "utf-8"),
             (lambda rows: b"".join([*rows[:-1], b"9" * 200_000, rows[-1]]), "field larger"),
@@ -173,6 +182,12 @@ class TestProgress:
         fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv", words)
         assert TABLE.read_bytes() == bad
         assert (CHECKPOINT.read_bytes(), CONFIG.read_bytes()) == before
+
+    def test_a_letter_that_flipped_in_the_header_loses_no_values(self, ppo, capsys):
+        bad = TABLE.read_bytes().replace(b"mean_return", b"mean_returo")
+        TABLE.write_bytes(bad)
+        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "found the columns mean_returo")
+        assert TABLE.read_bytes() == bad
 
 
 class TestWriting:
