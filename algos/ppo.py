@@ -33,6 +33,7 @@ from .policy import (
     input_stats,
     new_actor,
     on_cpu,
+    require_layers,
 )
 from .rollout import (
     Episode,
@@ -565,6 +566,7 @@ class PPO(Learner):
     def saved_policy(
         config: PPOConfig, spaces: Spaces, saved: dict[str, Any]
     ) -> Policy:
+        require_layers(config.hidden, spaces, saved["actor"])
         parts = _policy_parts(config, spaces, torch.Generator())
         restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
         return _policy(config, spaces, *parts)

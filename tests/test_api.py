@@ -333,6 +333,15 @@ class TestMistakes:
     def test_a_damaged_policy_is_refused(self):
         tactilerl.PPO("lqr", **PPO).save("policy.pt")
         whole = torch.load("policy.pt", weights_only=True)
+        parts = ", ".join(f'"{n}": [999999]' for n in range(99))
+        for change in (
+            dict(spaces=whole["spaces"].replace('"": [2]', parts)),
+            dict(spaces=whole["spaces"].replace("[2]", "[999999]"), learner='{"hidden": [9999]}'),
+            dict(learner=whole["learner"].replace("[16]", str(999 * [300]))),
+        ):  # small files that would take gigabytes
+            store.write_tensors(Path("bad.pt"), {**whole, **change})
+            with pytest.raises(ValueError, match=r"bad\.pt: damaged \(\w+: found \d+ (parts|weights)"):
+                tactilerl.load_policy("bad.pt")
         for change in (
             dict(policy_format=99),
             dict(algo="sac"),

@@ -6,9 +6,7 @@ No environment is made for them, and no learner.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -61,26 +59,9 @@ def load_policy(path: str | Path) -> Policy:
         config_type, learner_type = algos.get(data["algo"])
         config = validation.fill(config_type, json.loads(data["learner"]), "learner")
         config.validate()
-        spaces = _spaces(path, data["spaces"], config.hidden)
+        spaces = Spaces.from_json(data["spaces"])
         policy: Policy = learner_type.saved_policy(config, spaces, data["state"])
         return policy
-
-
-def _spaces(path: Path, text: str, hidden: tuple[int, ...]) -> Spaces:
-    """Return a policy's spaces; ValueError where its file is too small for weights of their sizes.
-
-    So what is made from a file takes no more memory than a few times the file.
-    """
-    most = path.stat().st_size // 4  # numbers of float32
-    known = json.loads(text)
-    n_inputs = sum(map(math.prod, known["observation"].values()))
-    layers = [n_inputs // 2, *hidden, math.prod(known["action"]["shape"])]
-    weights = [n_in * n_out for n_in, n_out in itertools.pairwise(layers)]
-    if max(n_inputs, len(layers), sum(weights)) > most:
-        raise ValueError(
-            f"it says {sum(weights):,} weights or more, and has up to {most:,}"
-        )
-    return Spaces.from_json(text)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -121,10 +102,7 @@ def read_run(path: Path) -> Trained:
     saved = run_dir.read_config()
     data, file = run_dir.read_checkpoint(saved), run_dir.checkpoint_file
     with damage_named(file):
-        spaces, state = (
-            _spaces(file, data["spaces"], saved.learner.hidden),
-            data["ranks"][0],
-        )
+        spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
         acting = saved.learner.acting(remaining)
         learner_type = algos.get(saved.run.algo)[1]

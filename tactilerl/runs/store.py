@@ -28,11 +28,13 @@ from .. import machine
 from ..algos import recipes
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
+from ..algos.rollout import FAULTS
 from ..envs import hands, layouts, plugins, validation
 from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import (
     LEFTOVER,
+    MAX_RECORD,
     as_json,
     damage_named,
     make_folder,
@@ -60,7 +62,12 @@ PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": d
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 FIRST_COLUMNS = ["epoch", "env_steps"]  # the columns that every table begins with
 RATE_SUFFIX = "success_rate"  # ends the names of columns that are shares
-FINITE = -sys.float_info.max, sys.float_info.max
+# Endings of columns, and what these may hold besides nan.
+LIMITS = {
+    RATE_SUFFIX: (0.0, 1.0),
+    (*FAULTS, "_s"): (0.0, 1e15),  # counts and seconds, which are added up
+    "": (-sys.float_info.max, sys.float_info.max),
+}
 Row = dict[str, str]
 
 
@@ -109,8 +116,8 @@ def read_tensors(
             entries = archive.infolist()
             if any(entry.compress_type for entry in entries):
                 raise ValueError("it is compressed, as torch.save does not write it")
-            if sum(entry.file_size for entry in entries) > path.stat().st_size:
-                raise ValueError("its parts overlap")
+            if sum(entry.file_size for entry in entries) > file.seek(0, os.SEEK_END):
+                raise ValueError("its entries overlap")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
@@ -211,7 +218,7 @@ class RunDir:
         """Return what config.json holds; InputError when damaged."""
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(json.loads(read_whole(self.config_file)))
+            return as_record(json.loads(read_whole(self.config_file, MAX_RECORD)))
 
     # -- progress.csv ------------------------------------------------------------------------
 
@@ -224,6 +231,11 @@ class RunDir:
         ) as file:
             file.seek(0)
             columns = next(csv.reader(file), None)
+            if unknown := set(columns or ()) - rows[0].keys():
+                raise InputError(
+                    f"{self.table}: found the columns {', '.join(sorted(unknown))}, which this run "
+                    "does not write; put back the header that belongs to it"
+                )
             writer = csv.DictWriter(
                 file,
                 columns or list(rows[0]),
@@ -232,11 +244,6 @@ class RunDir:
             )
             if columns is None:
                 writer.writeheader()
-            elif lost := [name for name in columns if name not in rows[0]]:
-                raise InputError(
-                    f"{self.table}: its header has {lost[0][:50]!r}, which this run does not write; "
-                    "put back the header that it had"
-                )
             writer.writerows(rows)
             file.flush()
             os.fsync(file.fileno())
@@ -246,7 +253,7 @@ class RunDir:
         if not self.table.exists():
             return []
         with damage_named(self.table):
-            rows, problem = parse(read_whole(self.table).decode("utf-8"))
+            rows, problem = parse(read_whole(self.table, MAX_RECORD).decode("utf-8"))
             if problem:
                 raise ValueError(problem)
         return rows
@@ -340,9 +347,7 @@ def parse(text: str) -> tuple[list[Row], str]:
                 raise ValueError(f"its epochs or steps do not follow: {now}, {before}")
             before = now
             for column, field in row.items():
-                low, high = (0.0, 1.0) if column.endswith(RATE_SUFFIX) else FINITE
-                if column.removeprefix("test_") == "diverged":  # a count of episodes
-                    low, high = 0.0, 1e15
+                low, high = next(x for end, x in LIMITS.items() if column.endswith(end))
                 if not (low <= (value := float(field or 0)) <= high or value != value):
                     raise ValueError(f"{column}: found {field[:50]}")
             rows.append(row)

@@ -166,6 +166,8 @@ class TestWarnings:
         folder = make_study(tmp_path / "s", n_seeds=1)
         for file in folder.path.rglob("progress.csv"):
             file.write_text(file.read_text().replace("test_success_rate", "another"))
+        _, all_records = records.load(folder.path)
+        assert "found no column test_success_rate" in all_records[-1].reason
         assert "mujoco: no finished run with a test_success_rate" in reported(capsys, folder.path)
 
     def test_what_is_no_study(self, folder, tmp_path, capsys):
@@ -173,15 +175,18 @@ class TestWarnings:
         fails_with(capsys, ["study", "collect", tmp_path / ("x" * 300)], "xxx")
         (tmp_path / "mine").write_text("")
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
-        entry = tarfile.TarInfo("neg").tobuf()  # read again and again: its size leads back to it
-        size = (2**88 - 512).to_bytes(11, "big")
-        entry = entry[:124] + b"\xff" + size + entry[136:148] + b" " * 8 + entry[156:]
-        total = b"%06o\0 " % sum(entry)
-        (tmp_path / "neg.tar.gz").write_bytes(gzip.compress(entry[:148] + total + entry[156:]))
-        fails_with(capsys, ["study", "status", tmp_path / "neg.tar.gz"], "a size of -512")
         old = tmp_path / "old.tar.gz"  # of 0.3.0
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
         fails_with(capsys, ["study", "status", old], "not a collected study")
+
+    @pytest.mark.parametrize("size", [-512, 30_000_001])
+    def test_collected_files_that_have_no_end(self, tmp_path, capsys, size):
+        """Small ones, which would be read forever or fill the memory."""
+        entry = tarfile.TarInfo("study.json")
+        entry.size = size
+        packed = tmp_path / "c.tar.gz"
+        packed.write_bytes(gzip.compress(entry.tobuf(tarfile.GNU_FORMAT) + bytes(max(size, 512))))
+        fails_with(capsys, ["study", "report", packed], f"study.json: found {size:,} bytes")
 
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
