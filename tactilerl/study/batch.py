@@ -19,6 +19,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_complete
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +63,9 @@ def require_device() -> None:
     if device() == "loop":
         return
     with extra("gpu"):
-        import mujoco_warp  # type: ignore[import-untyped]  # noqa: F401
-        import warp  # noqa: F401
+        for name in ("mujoco_warp", "warp"):
+            if find_spec(name) is None:
+                raise ModuleNotFoundError(f"No module named '{name}'", name=name)
     if not torch.cuda.is_available():
         raise InputError(
             f"--on gpu: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
@@ -276,6 +278,9 @@ class _Seat:
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any) -> Any:
         return np.asarray(self._reward(achieved_goal, desired_goal))
+
+    def compute_terminated(self, achieved_goal: Any, desired_goal: Any) -> None:
+        """Say nothing: no task of ours does."""
 
 
 class _Training:
