@@ -23,6 +23,7 @@ batch_size = 16
 n_cycles = 1
 n_batches = 2
 n_test_rollouts = 1
+n_test_episodes = 3
 total_timesteps = 200
 """
 GOOD = """

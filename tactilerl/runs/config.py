@@ -47,17 +47,22 @@ class RunOptions:
     are the same."""
     device: str = "cpu"
     """PyTorch device of the networks, such as cuda."""
+    n_test_episodes: Annotated[int, "[0, 100000]"] = 0
+    """Episodes of a test at the end of the run, without exploration noise: the first that `evaluate`
+    plays, in the scene of the training. Studies: 200 unless they say otherwise."""
     tensorboard: bool = False
     """Also write TensorBoard events (extra: tensorboard)."""
 
 
 PARTS = ("run", "scene", "learner")
 # Fields that may differ between a run and its continuation: they do not change its course.
-FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
+FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard", "n_test_episodes"}
 LENGTH_COUNTS = (
     " and anneals (--anneal-lr and the like) to zero over that length, so it cannot be extended: "
     "begin a run of the whole length, or one without annealing"
 )
+FINAL_TEST = "final_test_success_rate"
+"""Column of progress.csv: empty but in the last row of a run that is tested at its end."""
 HAND_COPY = "hand.toml"  # in the run folder, when the hand is none of the library's
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 

@@ -24,7 +24,8 @@ from ..machine import free_cores
 from ..terminal import interrupts
 from ..terminal.console import paragraph
 from ..terminal.epochs import EpochLog, require_tensorboard
-from .config import RunConfig, RunOptions
+from . import evaluation
+from .config import FINAL_TEST, RunConfig, RunOptions
 from .still import note_of_standing_still
 from .store import Checkpoint, RunDir
 
@@ -115,6 +116,7 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 for earlier in run_dir.rows():
                     log.write_events(earlier)
                 for row in epochs(learner, epoch):
+                    row[FINAL_TEST] = _final_test(learner, config.run.n_test_episodes)
                     if comm.rank == 0:
                         run_dir.append(row)
                     checkpoint.save(row["epoch"])
@@ -170,6 +172,17 @@ def epochs(learner: Learner, epoch: int) -> Iterator[Row]:
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
         yield {"epoch": epoch, **_epoch(learner)}
+
+
+def _final_test(learner: Learner, n: int) -> float | str:
+    """Return the success rate of the first `n` episodes that `evaluate` plays, "" before the end.
+
+    Rank 0 plays them.
+    """
+    if not n or learner.comm.rank > 0 or learner.env_steps < learner.total_timesteps:
+        return ""
+    played = learner.workers.play(evaluation.task(learner.policy()), range(n))
+    return float(np.mean([episode.success for episode in played]))
 
 
 def _epoch(learner: Learner) -> Row:

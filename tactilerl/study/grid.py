@@ -48,10 +48,11 @@ KEYS = {"name", "measure", "compare", "primary", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
 SEED, IMPORT = "seed", "import"
 RESERVED_FLAGS = {SEED, "out", "resume", "workers", "tensorboard"}
+N_TEST_EPISODES = 200  # at the end of a run, where the study does not say how many
 MAX_RUNS = 10_000  # a slip in a grid multiplies
 
-Score = Literal["area", "final", "converged"]
-"""The number that a run is judged by: docs/statistics.md."""
+Score = Literal["area", "final", "converged", "test"]
+"""The number that a run is judged by: docs/statistics.md; test: that at its end, without noise."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,8 @@ class Run:
                 raise InputError(
                     f"it needs the module {str(name)[:50]!r}; if you trust it, give --import {name}"
                 )
-        return configure({**flags, SEED: self.seed, "workers": 1})
+        usual = {"n_test_episodes": N_TEST_EPISODES}
+        return configure({**usual, **flags, SEED: self.seed, "workers": 1})
 
 
 @dataclass(frozen=True)

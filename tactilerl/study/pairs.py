@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 
 from .. import statistics
+from ..runs.config import FINAL_TEST
 from ..statistics import N_RESAMPLES, Array, Estimate
 from .grid import Setup, Study
 from .records import Record
@@ -78,7 +79,7 @@ def span(records: Iterable[Record]) -> tuple[float, float]:
 def scores(record: Record, first: float, last: float) -> dict[str, float]:
     """Return what a finished run reached from the `first` to the `last` step.
 
-    The names are those of `grid.Score`.
+    The names are those of `grid.Score`; `test` is NaN where the run was not tested at its end.
     """
     steps, rates = record.curve
     at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
@@ -87,14 +88,19 @@ def scores(record: Record, first: float, last: float) -> dict[str, float]:
         "area": statistics.area_under_curve(at, rates),
         "final": statistics.final_rate(rates),
         "converged": statistics.converged_rate(rates),
+        "test": float(record.column(FINAL_TEST)[-1]),
     }
 
 
 def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
-    """Return a score of each run of several groups, over the steps that all of them have."""
+    """Return a score of each run that has it, of several groups, over the steps that all have."""
     common = span(itertools.chain(*groups))
-    return [
+    reached = [
         {one.run.seed: scores(one, *common)[score] for one in group} for group in groups
+    ]
+    return [
+        {seed: value for seed, value in one.items() if not math.isnan(value)}
+        for one in reached
     ]
 
 

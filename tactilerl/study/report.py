@@ -29,6 +29,7 @@ MEANS = {
     "area": "mean success",
     "final": "final success",
     "converged": "converged success",
+    "test": "tested success",
 }
 """Scores as sentences have them."""
 
@@ -199,13 +200,20 @@ def comparisons(result: SetupResult, score: str) -> Table:
     return Table(f"{result.setup.name}_comparisons", title, rows, note)
 
 
+def is_any_tested(results: list[SetupResult]) -> bool:
+    """Return whether a run of these was tested at its end."""
+    groups = [group for one in results for group in one.groups.values()]
+    return any(not math.isnan(x) for group in groups for x in group.scores["test"])
+
+
 def measures(result: SetupResult) -> Table:
     """Return the mean scores of each group, with intervals."""
-    rows = []
+    rows, is_tested = [], is_any_tested([result])
     for (setting, name), group in result.groups.items():
         means = {
             MEANS[score].capitalize(): shown(statistics.mean(values, group.counts))
             for score, values in group.scores.items()
+            if is_tested or score != "test"
         }
         row = {"Setting": setting, "Group": result.setup.label(name)}
         rows.append({**row, "Runs": str(len(group.seeds)), **means})
@@ -213,13 +221,18 @@ def measures(result: SetupResult) -> Table:
         "Mean of the runs with 95 % interval. Mean success: over the run; final: over its last tenth; "
         "converged: the level where a run spends most of its epochs."
     )
+    if is_tested:
+        note += (
+            " Tested: at its end, without exploration noise, from the same starts; a dash where a run "
+            "was not."
+        )
     title = f"Each group of runs: {result.subject}"
     return Table(f"{result.setup.name}_measures", title, rows, note)
 
 
 def runs(analysis: Analysis) -> Table:
     """Return every run: its seed, how it ended and what it reached."""
-    rows = []
+    rows, is_tested = [], is_any_tested(analysis.setups)
     for one in analysis.setups:
         for record in one.records:
             run, group = record.run, one.groups.get(record.run.place[1:])
@@ -232,6 +245,8 @@ def runs(analysis: Analysis) -> Table:
                 "Steps": record.rows[-1]["env_steps"] if record.rows else "0",
             }
             for score, mean in MEANS.items():
+                if score == "test" and not is_tested:
+                    continue
                 known = (
                     zip(group.seeds, group.scores[score], strict=True) if group else ()
                 )

@@ -68,6 +68,8 @@ class EpochLog:
         steps, text = row["env_steps"], f"success {_percent(row['success_rate'])}  "
         if "test_success_rate" in row:
             text += f"test {_percent(row['test_success_rate'])}  "
+        if (final := row.get("final_test_success_rate", "")) != "":
+            text += f"final test {_percent(final)}  "
         spent = time.perf_counter() - self._started
         left = spent * max(0, self.total - steps) / (steps - self._first_step)
         text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s  "

@@ -19,7 +19,7 @@ from tactilerl.study.records import StudyFiles
 
 from browser import Browser, needs_chromium
 from one_line import fails_with, printed
-from study_records import fail, interrupt, make_study
+from study_records import PAPER_LIKE, fail, interrupt, make_study
 
 ROOT = Path(__file__).parents[2]
 RESAMPLES = 500
@@ -66,6 +66,23 @@ def by_seed(group, score):
 
 
 class TestNumbers:
+    def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path, result):
+        assert "Tested success" not in rows(result, "pybullet_measures")[0]
+        folder = make_study(tmp_path / "s", PAPER_LIKE + '[primary]\nscore = "test"\n', n_seeds=2)
+        runs = [run for run in folder.study().runs() if run.setup == "pybullet"]
+        for run in runs[1:]:  # the first was made without
+            table = folder.run_dir(run).table
+            header, *lines = table.read_text().splitlines()
+            lines = [f"{line}," for line in lines[:-1]] + [f"{lines[-1]},0.{4 + (run.group == 'on')}"]
+            table.write_text("\n".join([f"{header},final_test_success_rate", *lines, ""]))
+        tested = analysis.analyse(*records.load(folder.path), 100)
+        cells = [row["Tested success"] for row in rows(tested, "pybullet_measures")]
+        assert cells[1:3] == ["0.40 [0.40, 0.40]", "0.50 [0.50, 0.50]"]
+        assert cells[0].startswith("–")
+        assert rows(tested, "pybullet_comparisons")[0]["Pairs"] == "1 of 2"
+        assert rows(tested, "pybullet_comparisons")[1]["Tested success"].startswith("0.100")
+        assert [row["Tested success"] for row in rows(tested, "runs")[:2]] == ["–", "0.40"]
+
     def test_runs_of_the_same_seed_are_compared_by_their_areas(self, result):
         one = result.setups[0]
         arms = [by_seed(one.groups["layout 2", arm], "area") for arm in ("on", "off")]

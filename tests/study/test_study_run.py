@@ -1,5 +1,6 @@
 """Running studies: each run once and to its end, whatever is killed, on any executor."""
 
+import csv
 import json
 import os
 import shutil
@@ -54,6 +55,14 @@ class TestRun:
     def test_every_run_is_done_and_nothing_is_left_to_do(self, undisturbed, tmp_path, capsys):
         status = json.loads(printed(capsys, ["study", "status", undisturbed, "--json"]))
         assert (status["done"], status["failed"]) == (2, 0)
+        for table in undisturbed.glob(
+            "runs/*/progress.csv"
+        ):  # all are tested, and from the same starts
+            *others, last = csv.DictReader(table.open())
+            assert {row["final_test_success_rate"] for row in others} == {""}
+            run = str(table.parent)
+            told = json.loads(printed(capsys, ["evaluate", run, "--episodes", 3, "--json"]))
+            assert float(last["final_test_success_rate"]) == told["success_rate"]
         before = {p: p.stat().st_mtime_ns for p in undisturbed.rglob("progress.csv")}
         assert len(before) == 2
         again = ["study", "run", write(tmp_path), "--out", undisturbed]
