@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -45,8 +45,10 @@ from .grid import Run
 from .records import StudyFiles
 
 DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
+PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: their number, if not three
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
+GRACE = 10.0  # s; then whoever is told to end goes without the epoch that it is in
 SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
 WORLD_BYTES = 300_000  # of physics: contacts, constraints and what they are solved with
@@ -210,19 +212,21 @@ def show(batches: Sequence[Batch]) -> None:
 def run_all(
     batches: Sequence[Batch], pool: Executor, side_by_side: int | None, on_end: Any
 ) -> None:
-    """Make the runs of all batches done, in one process; `on_end` is told each run and how it ended.
+    """Make the runs of all batches done; `on_end` is told each run and how it ended.
 
-    A GPU takes turns between processes; between threads of one it does not.
+    Threads of a process take turns in Python, and processes on the GPU: so there are some of each.
     """
-    if not batches:
-        return
-    runs = tuple(run for batch in batches for run in batch.runs)
     n = side_by_side or executors.SIDE_BY_SIDE
-    together = replace(batches[0], runs=runs, side_by_side=n)
-    for run, ending in zip(
-        runs, pool.submit(_make_done, together).result(), strict=True
-    ):
-        on_end(replace(together, run=run), ending)
+    n_processes = min(n, int(os.environ.get(PROCESSES, 3)))
+    parts, futures = list[Batch](), list[Future[list[jobs.Ending]]]()
+    for k in range(min(n_processes, len(batches))):
+        runs = [run for batch in batches[k::n_processes] for run in batch.runs]
+        part = replace(batches[k], runs=(*runs,), side_by_side=-(-n // n_processes))
+        parts.append(part)
+        futures.append(pool.submit(_make_done, part))
+    for part, future in zip(parts, futures, strict=True):
+        for run, ending in zip(part.runs, future.result(), strict=True):
+            on_end(replace(part, run=run), ending)
 
 
 def _make_done(batch: Batch) -> list[jobs.Ending]:
@@ -470,7 +474,7 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     free, stop = threading.Semaphore(side_by_side), threading.Event()
     sys.setswitchinterval(SWITCH_EVERY)
     if threading.current_thread() is threading.main_thread():  # to end in order
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, partial(_end_soon, stop))
     try:
         with ExitStack() as held, ThreadPoolExecutor(side_by_side) as pool:
             try:
@@ -490,6 +494,16 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     finally:
         sys.setswitchinterval(before)
     return int(any(one.learner.failures for one in trainings))
+
+
+def _end_soon(stop: threading.Event, *_: Any) -> None:
+    """End in order, or at the last saved checkpoints where that takes too long."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    timer = threading.Timer(GRACE, os._exit, [jobs.INTERRUPTED[0]])
+    timer.daemon = True
+    timer.start()
+    stop.set()
+    raise KeyboardInterrupt
 
 
 def _label(config: RunConfig) -> str:

@@ -49,6 +49,7 @@ grid = {seed = 0}
 @pytest.fixture
 def in_a_loop(monkeypatch, trained_here):
     monkeypatch.setenv(batch.DEVICE, "loop")
+    monkeypatch.setenv(batch.PROCESSES, "1")  # they share one output
     monkeypatch.setattr(batch, "SPARE", 0.5)
 
 
