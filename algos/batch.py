@@ -551,6 +551,25 @@ class BatchLearner:
             warnings=0.0 * n,
         )
 
+    def _best(self, obs: Tensor) -> Tensor:
+        """Return actions without exploration (E, W, d) from whole observations (E, W, ...)."""
+        raise NotImplementedError
+
+    @torch.no_grad()
+    def play_best(
+        self, asked: Sequence[bool], seed: Callable[[int, int], int], n: int
+    ) -> list[dict[str, float]]:
+        """Return counts and means of `n` episodes without exploration of the runs asked for (E,)."""
+
+        def act(obs: Tensor, *_: Tensor) -> Tensor:
+            return self._best(obs)
+
+        def is_taken(lengths: Tensor, indices: Tensor) -> Tensor:
+            return (indices < n).expand_as(lengths)
+
+        on = torch.tensor(asked, device=self.device)
+        return self._summary(self.worlds.play(act, seed, is_taken, on))
+
     def _count(self, played: Played) -> list[dict[str, float]]:
         """Add the steps of the active runs; one without a step to learn from has failed."""
         rows = self._summary(played)
@@ -685,6 +704,9 @@ class BatchPPO(BatchLearner):
         parts = whole[..., : self.width], whole[..., -self.n_goal :]
         return torch.cat(parts, dim=-1)
 
+    def _best(self, obs: Tensor) -> Tensor:
+        return self.actor(self.stats.scale(self._inputs(obs)))
+
     @torch.no_grad()
     def collect(self) -> list[dict[str, float]]:
         """Play whole episodes until each active run has its `steps_per_epoch`."""
@@ -694,8 +716,7 @@ class BatchPPO(BatchLearner):
             uniform = self.draws(
                 rollout.TRAIN, epochs, numbers, steps, width=self.n_actions
             )
-            mean = self.actor(self.stats.scale(self._inputs(obs)))
-            return mean + std * _normal(uniform)
+            return self._best(obs) + std * _normal(uniform)
 
         def is_taken(lengths: Tensor, indices: Tensor) -> Tensor:
             weights = lengths.clamp(min=1)
@@ -1010,9 +1031,12 @@ class BatchDDPGHER(BatchLearner):
             [self.obs_stats.scale(obs), self.goal_stats.scale(goals)], dim=-1
         )
 
-    def _play(self, purpose: int, n: int) -> Played:
-        """Play `n` episodes of each active run that have steps, or just `n` to test it."""
-        cycles, explores = self.counters("cycles")[:, None], purpose == rollout.TRAIN
+    def _best(self, obs: Tensor) -> Tensor:
+        return self.actor(self._inputs(obs))
+
+    def _play(self, n: int) -> Played:
+        """Play `n` episodes of each active run that have steps."""
+        cycles, purpose = self.counters("cycles")[:, None], rollout.TRAIN
         left = self._remaining(self.config.anneal_noise)
         noise_eps, random_eps = (
             left * self.numbers(name) for name in ("noise_eps", "random_eps")
@@ -1024,10 +1048,7 @@ class BatchDDPGHER(BatchLearner):
 
         def act(obs: Tensor, numbers: Tensor, steps: Tensor, moving: Tensor) -> Tensor:
             nonlocal is_random, drawn
-            actions = self.actor(self._inputs(obs))
-            if not explores:
-                return actions
-            d = self.n_actions
+            actions, d = self._best(obs), self.n_actions
             uniform = self.draws(purpose, cycles, numbers, steps, width=2 * d + 1)
             noise, chance = (
                 noise_eps[..., None] * _normal(uniform[..., :d]),
@@ -1045,8 +1066,6 @@ class BatchDDPGHER(BatchLearner):
 
         def is_taken(lengths: Tensor, indices: Tensor) -> Tensor:
             has_steps = lengths > 0
-            if not explores:
-                return (indices < n).expand_as(lengths)
             return has_steps.cumsum(dim=1) - has_steps.long() < n
 
         with torch.no_grad():
@@ -1060,7 +1079,7 @@ class BatchDDPGHER(BatchLearner):
         self.on = self._mask()
         self.lr_left = self._remaining(self.config.anneal_lr)
         self.l2_left = self._remaining(self.config.anneal_action_l2)
-        played = self._play(rollout.TRAIN, self.config.n_rollouts)
+        played = self._play(self.config.n_rollouts)
         sums = _discounted(played.rewards.double(), self.numbers("gamma").double())
         usable = played.usable & self.on[:, None]
         self.largest = (sums.abs() * usable[..., None]).amax(dim=(1, 2))
@@ -1077,14 +1096,12 @@ class BatchDDPGHER(BatchLearner):
         self.goal_stats.update(batch.goal.clamp(-limit, limit), rows_in)
         return rows
 
-    @torch.no_grad()
     def test(self, asked: Sequence[bool]) -> list[dict[str, float]]:
         """Return how good the runs that are asked for (E,) are without exploration."""
         n = self.config.n_test_rollouts * self.config.n_rollouts
         if not n:
             return []
-        self.on = torch.tensor(asked, device=self.device)
-        rows = self._summary(self._play(rollout.TEST, n))
+        rows = self.play_best(asked, self._seed(rollout.TEST, "cycles"), n)
         names = ("success_rate", "mean_return", *rollout.FAULTS)
         return [{f"test_{name}": row[name] for name in names} for row in rows]
 

@@ -35,8 +35,8 @@ from ..algos.policy import flat_size
 from ..envs import layouts, tasks
 from ..envs.batch import BY_GROUP, BatchEnv, require_batched
 from ..errors import BUSY, InputError, extra, input_errors
-from ..runs import training
-from ..runs.config import RunConfig
+from ..runs import evaluation, training
+from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
 from ..terminal.console import console
 from ..terminal.epochs import duration
@@ -45,7 +45,9 @@ from .grid import Run
 from .records import StudyFiles
 
 DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
-PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: their number, if not three
+PROCESSES = (
+    "TACTILERL_BATCH_PROCESSES"  # that train batches: their number, if not three
+)
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
 GRACE = 10.0  # s; then whoever is told to end goes without the epoch that it is in
@@ -181,7 +183,8 @@ def _common(config: RunConfig) -> Any:
         raise ValueError(f"algo: found {config.run.algo}, which has no batched form")
     require_batched([config.scene])
     scene = {k: v for k, v in vars(config.scene).items() if k not in BY_GROUP}
-    return config.run.env, learners.alike(config.learner), (*scene.items(),)
+    run = config.run.env, config.run.n_test_episodes
+    return run, learners.alike(config.learner), (*scene.items(),)
 
 
 # -- the study's side ------------------------------------------------------------------------
@@ -325,6 +328,7 @@ class _Training:
             run_dir.write_config(config, 1, origin=now)
         self.learner = learners.BATCHED[type(singles[0])](singles, env)
         self.rows: list[list[training.Row]] = [[] for _ in singles]
+        self._n_test_episodes = configs[0].run.n_test_episodes
         self.saved = self.shown = self.begin = time.monotonic()
         self.steps = self._steps = sum(one.env_steps for one in singles)
         self._labels = [_label(config) for config in configs]
@@ -365,6 +369,7 @@ class _Training:
                 return
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
+        self.final_test()
         self.save()
         self.show(is_last=True)
 
@@ -407,14 +412,34 @@ class _Training:
             times = {"collect_s": collect_s, "update_s": update_s}
             row |= {k: round(v / len(before), 4) for k, v in times.items()}
             row["steps_per_s"] = round((one.env_steps - before[i]) / seconds, 1)
+            row[FINAL_TEST] = ""
             self.rows[i].append(row)
+
+    def final_test(self) -> None:
+        """Test the runs that have ended, as `training` does with one; their last rows have waited."""
+        if n := self._n_test_episodes:
+            first = evaluation.task(None).key
+
+            def seed(_: int, number: int) -> int:
+                return int(np.random.default_rng([*first, number]).integers(2**31))
+
+            asked = [self._waits(i) for i in range(len(self.rows))]
+            tests = self.learner.play_best(asked, seed, n)
+            for i in np.flatnonzero(asked):
+                self.rows[i][-1][FINAL_TEST] = tests[i]["success_rate"]
+
+    def _waits(self, i: int) -> bool:
+        """Return whether a run has ended and is still to be tested."""
+        one, rows = self.learner.learners[i], self.rows[i]
+        has_ended = bool(rows) and one.env_steps >= one.total_timesteps
+        return bool(self._n_test_episodes) and has_ended and rows[-1][FINAL_TEST] == ""
 
     def save(self) -> None:
         """Write the rows and states of runs that went on since the last time."""
         for i, reason in self.learner.failures.items():
             self.files.write_failure(self.batch.runs[i], f"stopped: {reason}")
         for i, rows in enumerate(self.rows):
-            if not rows:
+            if not rows or self._waits(i):
                 continue
             self.run_dirs[i].append(*rows)
             self.learner.write(i)

@@ -6,6 +6,7 @@ import shutil
 import pytest
 import torch
 from tactilerl.commands.cli import main
+from tactilerl.runs.config import FINAL_TEST
 from tactilerl.study import batch, grid, records
 from tactilerl.study.records import StudyFiles
 from tests.one_line import fails_with
@@ -25,6 +26,7 @@ recipe = "robust"
 hidden = [8]
 steps_per_epoch = 60
 total_timesteps = 100
+n_test_episodes = 2
 [setups.ddpg_her]
 scene = "handover_anywhere"
 env = "mpl"
@@ -37,6 +39,7 @@ n_batches = 2
 batch_size = 8
 n_test_rollouts = 1
 total_timesteps = 100
+n_test_episodes = 2
 grid = {touch = ["on", "off"], seed = 0}
 compare = {touch = ["on", "off"]}
 [setups.bullet]
@@ -71,7 +74,10 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
     files = StudyFiles(out)
     for one in all_records[::3]:
         run_dir = str(files.run_dir(one.run).path)
-        assert main(["evaluate", run_dir, "--episodes", "2", "--workers", "1"]) == 0
+        capsys.readouterr()
+        assert main(["evaluate", run_dir, "--episodes", "2", "--workers", "1", "--json"]) == 0
+        tested = float(files.run_dir(one.run).rows()[-1][FINAL_TEST])
+        assert json.loads(capsys.readouterr().out)["success_rate"] == tested
         args = ["train", "--resume", run_dir, "--total-timesteps", "140", "--workers", "1"]
         fails_with(capsys, args, "anneals")
     capsys.readouterr()
