@@ -33,7 +33,11 @@ GOLDEN = -7046029254386353131  # 2^64 / the golden ratio, as int64
 MIX = ((30, -4658895280553007687), (27, -7723592293110705685), (31, 1))
 # What random numbers are for, besides the purposes in `rollout`.
 ORDER, PICK, SLOT = 11, 12, 13
-REACH = "first_values", "lowest_return", "highest_return"  # what PPO's values are held against
+REACH = (
+    "first_values",
+    "lowest_return",
+    "highest_return",
+)  # what PPO's values are held against
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 Act = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 """Return actions (E, W, d) from observations (E, W, width), the episodes' numbers, the numbers of their

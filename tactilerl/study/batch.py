@@ -45,7 +45,9 @@ from .grid import Run
 from .records import StudyFiles
 
 DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
-PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: their number, if not three
+PROCESSES = (
+    "TACTILERL_BATCH_PROCESSES"  # that train batches: their number, if not three
+)
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
 GRACE = 10.0  # s; then whoever is told to end goes without the epoch that it is in
