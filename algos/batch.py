@@ -1161,6 +1161,7 @@ class BatchDDPGHER(BatchLearner):
             goal = torch.where(
                 is_new[..., None], self.memory[e, slot, future][..., a:b], goal
             )
+            ends: Tensor | None
             reward, ends = self._judged(following[..., a:b], goal)
             if slots is None and self.learners[0].replay.ends:
                 terminal = self._terminal(reward, terminal, is_new, ends)
