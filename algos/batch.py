@@ -1178,9 +1178,9 @@ class BatchDDPGHER(BatchLearner):
             goal = torch.where(
                 is_new[..., None], self.memory[e, slot, future][..., a:b], goal
             )
-            reward, ends = self._judged(following[..., a:b], goal)
+            reward, over = self._judged(following[..., a:b], goal)
             if slots is None and self.learners[0].replay.ends:
-                terminal = self._terminal(reward, terminal, is_new, ends)
+                terminal = self._terminal(reward, terminal, is_new, over)
         first = b + self.n_goal
         action = row[..., first : first + self.n_actions]
         return Batch(row[..., :a], goal, action, reward, following[..., :a], terminal)

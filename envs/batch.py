@@ -21,9 +21,9 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from . import hold, observations, tasks, touch
-from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv
-from .hands import ARM
-from .objects import Item
+from .grasp import EJECTED, JITTER_JOINT, LIMIT, GraspConfig, GraspEnv
+from .hands import ARM, FINGERS
+from .objects import bounds
 from .observations import SIGHT_NOISE, TERMS
 from .simulators import batch as simulators
 from .simulators.batch import BatchSimulator, BatchState
@@ -143,8 +143,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.single_observation_space: Any = spaces[int(np.argmax(self.widths))]
         self.observation_space = batch_space(self.single_observation_space, n)
         self._rngs: list[Any] = [None] * n
-        self._drawn: list[_Draw | None] = [None] * n
-        self._items: list[Item] = [single._item] * n
+        self._rng = np.random.default_rng()
         self._targets = np.tile(single.hand.start_targets(), (n, 1))
         self._steps, self._position = np.zeros(n, int), np.zeros((n, 3))
         self._holding, self._over = np.zeros(n, bool), np.ones(n, bool)
@@ -166,63 +165,85 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Obs, dict[str, Any]]:
         """Begin an episode in all worlds, or those of ``options["reset_mask"]``, bool (n,).
 
-        A seed is a number, to which each world adds its index, or one for each of the n worlds; without
-        one, a world's generator goes on. A world plays the episode that `GraspEnv` plays after
-        ``reset(seed=...)`` with its seed.
+        A seed is a number, to which each world adds its index, or one for each of the n worlds. A world
+        plays the episode that `GraspEnv` plays after ``reset(seed=...)`` with its seed. Without one, a
+        world's generator goes on with draws from the "host"; else starts come from a generator of the
+        batch, which follows from the last seeds given.
         """
         n = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
         seeds: Any = [None] * n if seed is None else seed
         if isinstance(seed, int | np.integer):
             seeds = [seed + i for i in range(n)]
-        for i in np.flatnonzero(mask).tolist():
-            if seeds[i] is not None or self._rngs[i] is None:
-                given = None if seeds[i] is None else int(seeds[i])
-                self._rngs[i], _ = gym.utils.seeding.np_random(given)
-                self._drawn[i] = None
+        is_host = isinstance(self._senses.draws, HostDraws)
+        given = {i: seeds[i] for i in np.flatnonzero(mask).tolist()}
+        for i, one in given.items():
+            if one is not None or (is_host and self._rngs[i] is None):
+                one = None if one is None else int(one)
+                self._rngs[i], _ = gym.utils.seeding.np_random(one)
+        if known := [int(one) for one in given.values() if one is not None]:
+            self._rng = np.random.default_rng(known)
         self._begin(np.flatnonzero(mask))
         state, truth = self._look()
         self._observe(state, mask, mask)
         self._start_goals(mask, truth)
         return self._out(self._obs_dict()), self._info()
 
-    def _draw(self, i: int) -> _Draw:
-        item, start, observer, rng = self._single.draw_start(self._rngs[i])
-        nothing = np.zeros((len(self.hand.fingertips), 3))
-        known: Any = SimpleNamespace(
-            object_position=start.position, palm=nothing[0], fingertips=nothing
-        )
-        _, desired = self.task.reset(known, rng)
-        return _Draw(item, start, observer, desired, getattr(self.task, "sets_off", 0))
+    def _draw(self, which: Sequence[int]) -> _Draws:
+        """Draw the starts of worlds from their own generators, as `GraspEnv` does."""
+        rows, nothing = [], np.zeros((len(self.hand.fingertips), 3))
+        for i in which:
+            item, start, observer, rng = self._single.draw_start(self._rngs[i])
+            known: Any = SimpleNamespace(
+                object_position=start.position, palm=nothing[0], fingertips=nothing
+            )
+            _, desired = self.task.reset(known, rng)
+            self._senses.draws.begin(i, observer)
+            if not isinstance(self._senses.draws, HostDraws):
+                self._rngs[i] = None
+            values = item.shape.half_size, item.mass, item.friction, *start
+            rows.append((*values, desired, getattr(self.task, "sets_off", 0)))
+        return _Draws(*map(np.array, zip(*rows, strict=True)))
 
-    def _prepare(self, limit: int) -> None:
-        """Draw the next episodes of worlds that will need one, while the device is busy."""
-        for i in range(self.num_envs):
-            if limit and self._drawn[i] is None and self._rngs[i] is not None:
-                self._drawn[i], limit = self._draw(i), limit - 1
+    def _draw_at_once(self, which: Array) -> _Draws:
+        """Draw the starts of worlds as `_draw` does, other numbers, from the batch's generator."""
+        single, config, rng, n = self._single, self.config, self._rng, len(which)
+        items, (kind,) = single._items, single._items._kinds
+        edges = np.stack([rng.uniform(*size, n) for size in items._sizes], 1)
+        half = edges[:, {1: [0, 0, 0], 2: [0, 0, 1], 3: [0, 1, 2]}[edges.shape[1]]] / 2
+        mass = Shape(kind, (1.0, 1.0, 1.0)).volume * half.prod(1)
+        mass *= rng.uniform(*items._density, n)
+        friction = rng.uniform(*items._friction, n)
+        joints = np.tile(self.hand.start_positions(), (n, 1))
+        place, yaw = np.zeros((n, 3)), np.zeros(n)
+        place[:, 2] = half[:, 2]
+        if config.jitter:
+            furthest = config.start_offset
+            place[:, :2] = rng.uniform(-furthest, furthest, (n, 2))
+            yaw = rng.uniform(-config.start_yaw, config.start_yaw, n)
+            fingers = joints[:, FINGERS]
+            fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, fingers.shape)
+            joints = np.clip(joints, *single.simulator.joint_limits.T)
+        targets = np.tile(self.hand.start_targets(), (n, 1))
+        goals = self._task.draw(place, half, single.palm_skin, rng)
+        self._senses.draws.begin_at_once(which, rng)
+        return _Draws(half, mass, friction, joints, goals[0], yaw, targets, *goals[1:])
 
     def _begin(self, which: Array) -> None:
         """Put worlds at the start of their next episodes."""
-        drawn = [self._drawn[i] or self._draw(i) for i in which.tolist()]
-        if not drawn:
+        is_own = np.array([self._rngs[i] is not None for i in which.tolist()], bool)
+        own, others = which[is_own], which[~is_own]
+        parts = [self._draw(own.tolist())] if len(own) else []
+        parts += [self._draw_at_once(others)] if len(others) else []
+        if not parts:
             return
-        for i, draw in zip(which.tolist(), drawn, strict=True):
-            self._drawn[i], self._items[i] = None, draw.item
-            self._senses.draws.begin(i, draw.observer)
-        items = [draw.item for draw in drawn]
-        self.simulator.change_object(
-            which,
-            np.array([item.shape.half_size for item in items]),
-            np.array([item.mass for item in items]),
-            np.array([item.friction for item in items]),
-        )
-        joints, position, yaw, targets = map(
-            np.array, zip(*(draw.start for draw in drawn), strict=True)
-        )
-        self._targets[which] = targets
-        self.simulator.reset(which, joints, position, yaw, targets)
-        self._desired[which] = [draw.desired for draw in drawn]
-        self._task.begin(which, position, np.array([draw.sets_off for draw in drawn]))
+        which = np.concatenate([own, others])
+        drawn = _Draws(*map(np.concatenate, zip(*parts, strict=True)))
+        place = drawn.joints, drawn.position, drawn.yaw, drawn.targets
+        self.simulator.change_object(which, *drawn[:3])
+        self._targets[which], self._desired[which] = drawn.targets, drawn.desired
+        self.simulator.reset(which, *place)
+        self._task.begin(which, drawn.position, drawn.sets_off)
         self._steps[which], self._over[which], self._holding[which] = 0, False, False
         self._task.before_step(
             self.simulator, self._steps, np.isin(np.arange(self.num_envs), which)
@@ -313,7 +334,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return np.clip(values, -1.0, 1.0)
 
     def _advance(self, actions: Array, playing: Array) -> None:
-        """Run the physics of a step, and draw coming episodes meanwhile."""
+        """Run the physics of a step."""
         self._steps[playing] += 1
         self._targets[playing] = self.hand.action_map(actions, self._targets)[playing]
         self._task.before_step(self.simulator, self._steps, playing)
@@ -321,8 +342,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         targets = self._targets.copy()
         self._hold.plan(self._holding, targets, n_substeps)
         self.simulator.step(targets, n_substeps)
-        if self._autoreset != AutoresetMode.DISABLED:
-            self._prepare(self.num_envs // 16 + 1)
         self.simulator.check()
 
     def _observe(self, state: BatchState, which: Array, first: Array) -> Array:
@@ -384,14 +403,18 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.simulator.close()
 
 
-class _Draw(NamedTuple):
-    """What an episode draws at its start."""
+class _Draws(NamedTuple):
+    """What episodes draw at their start, (k, ...)."""
 
-    item: Item
-    start: tasks.Start
-    observer: np.random.Generator
+    half_size: Array
+    mass: Array
+    friction: Array
+    joints: Array
+    position: Array
+    yaw: Array
+    targets: Array
     desired: Array
-    sets_off: int
+    sets_off: Array
 
 
 class _Truth(NamedTuple):
@@ -451,6 +474,17 @@ class _Reach:
         )
         self._wait = np.zeros((n, 3))
 
+    def draw(
+        self, place: Array, half_size: Array, palm: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        """Return places, goals and when a giver sets off, (k, ...), from usual places."""
+        task, n = self.task, len(place)
+        if task.only_goal is not None:
+            return place, np.tile(task.only_goal, (n, 1)), np.zeros(n, int)
+        goals = rng.uniform(-task.config.goal_range, task.config.goal_range, (n, 3))
+        goals[:, 2] += task.first.half_size[2] + task.config.goal_height
+        return place, goals, np.zeros(n, int)
+
     def begin(self, which: Array, position: Array, sets_off: Array) -> None:
         self._was_off[which], self._wait[which], self._sets_off[which] = (
             False,
@@ -500,6 +534,16 @@ class _Lift(_Reach):
 
 class _Handover(_Reach):
     lost = OUTCOMES["missed"]
+
+    def draw(
+        self, place: Array, half_size: Array, palm: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        task, n = self.task, len(place)
+        reach = rng.uniform(*bounds("", task.config.handover_reach), n)
+        x, y, _ = place.T
+        under = np.stack([x, y - reach, -half_size[:, 2] - task.below], 1)
+        goals = np.tile(task.only_goal, (n, 1))
+        return palm + under, goals, rng.integers(*task.waits, size=n, endpoint=True)
 
     def before_step(
         self, simulator: BatchSimulator, steps: Array, playing: Array
@@ -652,6 +696,11 @@ class DeviceDraws:
         seeds: Any = rng.bit_generator.seed_seq
         self._keys[i] = seeds.generate_state(1, np.uint64).view(np.int64)[0]
         self._count[i] = 0
+
+    def begin_at_once(self, which: Array, rng: np.random.Generator) -> None:
+        """Begin episodes in some worlds, with keys from one generator."""
+        self._keys[which] = rng.integers(2**63, size=len(which))
+        self._count[which] = 0
 
     def __call__(
         self, stream: str, which: Array, widths: Array, is_normal: bool = True

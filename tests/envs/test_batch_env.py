@@ -268,3 +268,22 @@ def test_warp_on_the_cpu_plays_what_mujoco_plays() -> None:
         ends[-1].append(starts)
     np.testing.assert_allclose(ends[0].pop(), ends[1].pop(), atol=1e-4)
     assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("task", ["handover", "lift-and-hold", "reach-goal"])
+def test_starts_drawn_at_once_are_spread_like_those_of_grasp_env(task: Any) -> None:
+    one = GraspConfig(task=task, object_size=("0.04..0.06",), friction="0.8..1", simulator="mujoco")
+    if task == "handover":
+        one = config("mpl")
+    env = BatchEnv("mpl", [(one, 2)], "loop", draws="device")
+    env.reset(seed=0)
+    many, rows = env._draw_at_once(np.arange(2).repeat(1000)), []
+    for seed in range(400):
+        env._rngs[0] = np.random.default_rng(seed)
+        rows.append(env._draw([0]))
+    for name, got, want in zip(
+        many._fields, many, map(np.concatenate, zip(*rows, strict=True)), strict=True
+    ):
+        spread = np.maximum(np.ptp(want, axis=0), 1e-9)
+        for at in (np.min, np.mean, np.max):
+            assert np.abs((at(got, axis=0) - at(want, axis=0)) / spread).max() < 0.1, name
