@@ -92,9 +92,14 @@ class ConfigFile(TypedDict):
 
 
 def write_tensors(path: Path, content: Values) -> None:
-    """Write tensors and plain values, whole or not at all."""
+    """Write tensors and plain values, whole or not at all; OSError where the disk is full."""
     with replacing(path) as file:
-        torch.save(content, file)
+        try:
+            torch.save(content, file)
+        except RuntimeError as error:  # PyTorch's, of what could not be written
+            if isinstance(cause := error.__context__, OSError):
+                raise OSError(cause.errno, cause.strerror, str(path)) from None
+            raise
 
 
 def read_tensors(
