@@ -149,7 +149,7 @@ def goal_size(space: gym.Space[Any]) -> int:
     """Return the length of a goal environment's goals; ValueError when it is not one."""
     if isinstance(space, gym.spaces.Dict) and set(GOAL_KEYS) <= set(space.spaces):
         _, achieved, desired = (flat_size(space[key]) for key in GOAL_KEYS)
-        if achieved == desired:
+        if achieved == desired > 0:
             return desired
     raise ValueError(
         f"observation space: found {space}, allowed a goal environment's: {GOAL_DICT}"
@@ -297,6 +297,12 @@ class Policy:
             raise UnfitError(
                 "env: found a batch of observations, allowed one of the space's shape"
             )
+        is_dict = isinstance(obs, Mapping)
+        for part in [obs[key] for key in GOAL_KEYS if key in obs] if is_dict else [obs]:
+            if (kind := np.asarray(part).dtype).kind not in "bifu":
+                raise UnfitError(
+                    f"env: found observations of type {kind}, allowed real numbers"
+                )
         return self.inputs.read(obs)
 
     def choose(self, view: Any, noise: Noise | None = None) -> Array:

@@ -81,11 +81,12 @@ class PlayEpisode(Generic[Obs]):
         noise = policy.explore(rng) if self.explores else None
         episode = Episode[Obs](seed=int(rng.integers(2**31)))
         try:
-            first, _ = env.reset(seed=episode.seed)
+            start = env.reset(seed=episode.seed)
         except FloatingPointError as error:
             episode.faults["diverged"], episode.success = 1, 0.0
             episode.info = {"error": str(error)}
             return episode
+        first, _ = _returned(start, "reset", "obs", "info")
         episode.add(policy, first)
         is_done = False
         while not is_done and is_wanted():
@@ -103,7 +104,9 @@ def _step(
     env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]
 ) -> bool:
     """Take one step and add it to the episode; return whether that has ended."""
-    obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
+    names = "obs", "reward", "terminated", "truncated", "info"
+    stepped = _returned(env.step(policy.to_env(action)), "step", *names)
+    obs, reward, terminated, truncated, info = stepped
     if not isinstance(info, dict):
         raise UnfitError(
             f"env: found {type(info).__name__} for a step's info, allowed a dict"
@@ -116,20 +119,37 @@ def _step(
         episode.faults[fault] += int(count)
     success = info.get("is_success", info.get("success"))
     episode.success = (
-        math.nan if success is None else _number(success, "is_success in info")
+        math.nan if success is None else _flag(success, "is_success in info")
     )
-    if episode.success not in (0.0, 1.0) and not math.isnan(episode.success):
-        raise UnfitError(
-            f"env: found the is_success {episode.success:g}, allowed 0 or 1"
-        )
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
     episode.add(policy, obs)
     episode.actions.append(action)
     episode.rewards.append(finite(_number(reward, "reward"), "a reward"))
-    episode.terminated = terminated
-    return bool(terminated or truncated)
+    episode.terminated = bool(_flag(terminated, "terminated"))
+    return bool(_flag(truncated, "truncated")) or episode.terminated
+
+
+def _returned(values: Any, method: str, *names: str) -> Any:
+    """Return what a method of an environment returned; UnfitError where it is no such tuple."""
+    if not isinstance(values, tuple) or len(values) != len(names):
+        found = (
+            f"{len(values)} values"
+            if isinstance(values, tuple)
+            else type(values).__name__
+        )
+        raise UnfitError(
+            f"env: found {found} from {method}, allowed ({', '.join(names)})"
+        )
+    return values
+
+
+def _flag(value: Any, what: str) -> float:
+    """Return what an environment returned as 0 or 1; UnfitError where it is neither."""
+    if (number := _number(value, what)) not in (0.0, 1.0):
+        raise UnfitError(f"env: found the {what} {number:g}, allowed 0 or 1")
+    return number
 
 
 def _number(value: Any, what: str) -> float:

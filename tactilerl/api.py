@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 import os
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
@@ -31,6 +32,7 @@ from .algos.policy import Policy, Spaces
 from .envs import validation, vector
 from .envs.layouts import Layout
 from .envs.validation import require_known
+from .files import require_path
 from .machine import WorkerCount, free_cores
 from .runs import evaluation, policies, training
 from .runs.config import RunOptions
@@ -89,6 +91,7 @@ class Learner:
         with _one_thread():  # a thread that is started inside has one too
             started = training.start_learner(self._run, self.config, start, self._comm)
         self._learner, self._workers = started
+        self._lock = threading.Lock()
 
     @property
     def env_steps(self) -> int:
@@ -113,12 +116,11 @@ class Learner:
         the learning by returning False. `tensorboard` is a folder for events of the same columns.
 
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
-        parameter is no longer finite, and ValueError when the learner cannot use the rewards.
+        parameter is no longer finite, and ValueError when the learner cannot use the rewards, or
+        learns already: in another thread, or where `callback` was called from.
         """
-        if callback is not None and not callable(callback):
-            raise ValueError(
-                f"callback: found {callback!r}, allowed a function of a row"
-            )
+        if not (callback is None or callable(callback)):
+            raise ValueError(f"callback: found {callback!r}, allowed a function")
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.require(RunOptions, vars(run))
         # Its workers are in the process that made it, and it would wait for them.
@@ -127,8 +129,21 @@ class Learner:
                 "learn: found a process that was forked from the one that made this learner, "
                 "allowed the same one; make a learner here"
             )
+        if not self._lock.acquire(blocking=False):
+            raise ValueError(
+                "learn: found this learner learning already, allowed once at a time"
+            )
+        try:
+            self._learn(run.total_timesteps, progress, callback)
+        finally:
+            self._lock.release()
+        return self
+
+    def _learn(
+        self, total_timesteps: int, progress: bool, callback: Callback | None
+    ) -> None:
         learner = self._learner
-        learner.total_timesteps = learner.env_steps + run.total_timesteps
+        learner.total_timesteps = learner.env_steps + total_timesteps
         with _one_thread():
             if not self._epoch:
                 learner.check()
@@ -139,7 +154,6 @@ class Learner:
                     log.epoch(row)
                     if callback is not None and callback(row) is False:
                         break
-        return self
 
     def policy(self) -> Policy:
         """Return a copy of the current policy; further learning does not change it."""
@@ -270,11 +284,12 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
-    for name, value in {"out": out, "resume": resume}.items():
-        if value is not None and (value == "" or not isinstance(value, str | Path)):
-            raise ValueError(f"{name}: found {value!r}, allowed a folder")
+    if resume is not None:
+        resume = require_path(resume, "resume")
+    if out is not None:
+        out = str(require_path(out, "out"))
     base = resolve(algo, env or "", recipe, scene, resume)
-    named = {"env": env, "algo": algo, "out": out and str(out)}
+    named = {"env": env, "algo": algo, "out": out}
     flags |= {name: value for name, value in named.items() if value is not None}
     return training.train(base.choose(flags), mpi.world())
 

@@ -22,7 +22,7 @@ def fails_with(capsys, args, *words, code=2):
     out, err = capsys.readouterr()
     assert "Traceback" not in out + err
     if "For full helptext" not in err:
-        assert err.startswith("tactilerl: error: ")
+        assert err.startswith(("tactilerl: error: ", "tactilerl: stopped: "))
         assert err.count("\n") == 1
         assert len(err) < 800
     line = " ".join(err.translate(dict.fromkeys(map(ord, "╭╮╰╯│─"), " ")).split())

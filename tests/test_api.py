@@ -7,6 +7,7 @@ import os
 import pickle
 import runpy
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import gymnasium as gym
@@ -65,6 +66,11 @@ def with_nan():
     for parameter in policy.network.parameters():
         parameter.data[:] = math.nan
     return policy
+
+
+def without_goal():
+    parts = {"observation": 2, "achieved_goal": 0, "desired_goal": 0}
+    return Short(gym.spaces.Dict({name: gym.spaces.Box(-1, 1, (n,)) for name, n in parts.items()}))
 
 
 def test_pytorchs_own_generator_is_left_alone():
@@ -289,6 +295,15 @@ MISTAKES = [
     (lambda: short(obs=gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)), "images"),
     (lambda: short(obs=gym.spaces.Dict(a=gym.spaces.Box(-1, 1, (2,)))), "FlattenObservation"),
     (lambda: short(action=gym.spaces.Box(0, 5, (1,), np.int64)), "Box of floats"),
+    (lambda: tactilerl.load_policy(None), "path: found None, allowed a path"),
+    (lambda: short().save(3), "path: found 3"),
+    (lambda: tactilerl.train("lqr", resume=3), "resume: found 3"),
+    (lambda: tactilerl.train("lqr", out=3), "out: found 3"),
+    (lambda: tactilerl.train("lqr", out=""), "out: found '', allowed a path"),
+    (lambda: short().learn(20, callback=3), "callback: found 3, allowed a function"),
+    (lambda: short(info={"is_success": math.nan}).learn(20), "env: found the is_success in info nan"),
+    (lambda: tactilerl.DDPGHER(without_goal()), "allowed a goal environment's"),
+    (lambda: tactilerl.evaluate(lambda obs: [math.nan], "lqr"), r"policy: its action: found \[nan\]"),
 ]
 
 
@@ -301,19 +316,35 @@ class TestMistakes:
         assert not list(Path().iterdir())
 
     @pytest.mark.parametrize(
-        ("obs", "reward", "words"),
+        ("method", "returned", "words"),
         [
-            (np.zeros(3), 0.0, r"env: .*: obs: found shape \(3,\), expected \(2,\)"),
-            (np.zeros((1, 2)), 0.0, "env: found a batch of observations"),
-            (np.zeros(2), [0.0], r"env: found the reward \[0.0\], allowed a number"),
-            (np.zeros(2), None, "env: found the reward None"),
+            ("step", (np.zeros(3), 0.0), r"env: .*: obs: found shape \(3,\), expected \(2,\)"),
+            ("step", (np.zeros((1, 2)), 0.0), "env: found a batch of observations"),
+            ("step", (np.zeros(2), [0.0]), r"env: found the reward \[0.0\], allowed a number"),
+            ("step", (np.zeros(2), None), "env: found the reward None"),
+            ("step", (np.zeros(2), 0.0, "no"), "env: found the terminated no"),
+            ("step", (np.zeros(2), 0.0, False, None), "env: found the truncated None"),
+            ("step", (np.zeros(2) * 1j, 0.0), "env: found observations of type complex128"),
+            ("step", None, r"env: found NoneType from step, allowed \(obs, reward, terminated"),
+            ("reset", None, r"env: found NoneType from reset, allowed \(obs, info\)"),
+            ("reset", (1, 2, 3), "env: found 3 values from reset"),
         ],
     )
-    def test_what_an_environment_should_not_return_is_said(self, obs, reward, words):
-        env = tactilerl.make("lqr")
-        env.unwrapped.step = lambda action: (obs, reward, False, False, {})
+    def test_what_an_environment_should_not_return_is_said(self, method, returned, words):
+        env = tactilerl.make("lqr").unwrapped
+        if method == "step" and returned is not None:
+            returned += (False, False, {})[len(returned) - 2 :]
+        setattr(env, method, lambda *args, **kwargs: returned)
         with pytest.raises(ValueError, match=words):
-            tactilerl.PPO(env.unwrapped, **PPO).learn(100)
+            tactilerl.PPO(env, **PPO).learn(100)
+
+    def test_a_learner_learns_once_at_a_time(self):
+        agent = short()
+        with pytest.raises(ValueError, match="learn: found this learner learning already"):
+            agent.learn(20, callback=lambda row: agent.learn(20))
+        with ThreadPoolExecutor(1) as pool, pytest.raises(ValueError, match="learning already"):
+            agent.learn(20, callback=lambda row: pool.submit(agent.learn, 20).result())
+        assert agent.learn(20).env_steps == 60
 
     def test_an_episode_without_an_end_is_said(self, monkeypatch):
         monkeypatch.setattr("tactilerl.algos.rollout.MAX_LENGTH", 50)

@@ -57,8 +57,13 @@ class OthersPolicy:
         return action[0] if isinstance(action, tuple) else action
 
     def to_env(self, action: Any) -> np.ndarray:
-        """Return an action as an array; ValueError where it has another shape than the space."""
-        return require_array(action, self.action.shape or (), "policy: its action")
+        """Return an action as an array; ValueError where it has another shape, or is not finite."""
+        values = require_array(action, self.action.shape or (), "policy: its action")
+        if not np.isfinite(values).all():
+            raise ValueError(
+                f"policy: its action: found {values}"[:100] + ", not finite"
+            )
+        return values
 
 
 def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:

@@ -15,7 +15,7 @@ from .. import algos
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, Spaces
 from ..envs import validation
-from ..files import damage_named
+from ..files import damage_named, require_path
 from .config import RunConfig
 from .store import RunDir, read_tensors, write_tensors
 
@@ -49,9 +49,7 @@ def load_policy(path: str | Path) -> Policy:
     observation, or for a batch of observations. Files of others are safe to load: only tensors and
     plain values are read. Raises ValueError, one line, when there is no policy or its file is damaged.
     """
-    if not isinstance(path, str | Path):
-        raise ValueError(f"path: found {path!r}, allowed a run folder or a file")
-    path = Path(path)
+    path = require_path(path, "path")
     if path.is_dir():
         return read_run(path).policy
     data = _read(path)
@@ -74,7 +72,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     Raises ValueError when `path` is no place for a file, or holds another one, and OSError when
     the disk is full.
     """
-    path = Path(path)
+    path = require_path(path, "path")
     if path.is_dir() or not path.parent.is_dir():
         raise ValueError(
             f"path: found {str(path)!r}, allowed a file in a folder that exists"

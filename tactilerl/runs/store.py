@@ -96,9 +96,9 @@ def write_tensors(path: Path, content: Values) -> None:
     with replacing(path) as file:
         try:
             torch.save(content, file)
-        except RuntimeError as error:  # what PyTorch makes of a full disk
-            if isinstance(error.__context__, OSError):
-                raise error.__context__ from None
+        except RuntimeError as error:  # PyTorch's, of what could not be written
+            if isinstance(cause := error.__context__, OSError):
+                raise OSError(cause.errno, cause.strerror, str(path)) from None
             raise
 
 

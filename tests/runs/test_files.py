@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -216,6 +217,19 @@ class TestWriting:
         assert not left.exists()
         assert own.exists()
         assert deep.exists()
+
+    def test_a_full_disk_leaves_the_run_as_it_was(self, ppo, capsys):
+        before = CHECKPOINT.read_bytes()
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
+        more = [*RESUME, "--total-timesteps", "240"]
+        try:
+            words = "stopped: [Errno 27] File too large", "the last checkpoint is kept"
+            fails_with(capsys, more, *words, code=1)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert CHECKPOINT.read_bytes() == before
+        assert main(more) == 0
 
     def test_where_nothing_can_be_written(self, tmp_path):
         Path("file").touch()
