@@ -87,7 +87,7 @@ policies: $(TRAINING)
 # is what the docs show of these.
 OUT ?= bench
 GRASPS ?= 5
-BENCHMARKS := peers scaling speed_vs_error hard_cases
+BENCHMARKS := peers speed_vs_error hard_cases
 FLAGS_speed_vs_error := --grasps $(GRASPS) --jobs 2
 FLAGS_hard_cases := --steps 100
 

@@ -33,6 +33,11 @@ GOLDEN = -7046029254386353131  # 2^64 / the golden ratio, as int64
 MIX = ((30, -4658895280553007687), (27, -7723592293110705685), (31, 1))
 # What random numbers are for, besides the purposes in `rollout`.
 ORDER, PICK, SLOT = 11, 12, 13
+REACH = (
+    "first_values",
+    "lowest_return",
+    "highest_return",
+)  # what PPO's values are held against
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 Act = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 """Return actions (E, W, d) from observations (E, W, width), the episodes' numbers, the numbers of their
@@ -59,7 +64,7 @@ class Draws:
 
         Counters (E, ...) or int tell draws apart.
         """
-        shape = torch.broadcast_shapes(
+        shape = torch.broadcast_shapes(  # type: ignore[no-untyped-call]
             *(c.shape for c in counters if not isinstance(c, int))
         )
         x = self.seeds.view(-1, *[1] * (len(shape) - 1))
@@ -122,7 +127,7 @@ class Networks:
         The first weights, of which it has not all columns, are a view only where none is missing: see
         `assign`.
         """
-        pieces = flat.detach()[i].split(self.sizes)
+        pieces = flat.detach()[i].split(self.sizes)  # type: ignore[no-untyped-call]
         views = [
             piece.view(shape) for piece, shape in zip(pieces, self.shapes, strict=False)
         ]
@@ -130,7 +135,7 @@ class Networks:
 
     def __call__(self, x: Tensor, flat: Tensor | None = None) -> Tensor:
         """Return outputs (E, n, outputs) for inputs (E, n, width), by other weights where given."""
-        pieces = (self.flat if flat is None else flat).split(self.sizes, dim=1)
+        pieces = (self.flat if flat is None else flat).split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
         last = len(self.shapes) - 2
         for k in range(0, last + 1, 2):
             weight = pieces[k].unflatten(1, self.shapes[k])
@@ -140,7 +145,7 @@ class Networks:
 
     def scale_outputs(self, factor: Tensor, flat: Tensor | None = None) -> None:
         """Multiply what each run's last layer returns by a factor (E,), as MLP's does."""
-        pieces = (self.flat if flat is None else flat).detach().split(self.sizes, dim=1)
+        pieces = (self.flat if flat is None else flat).detach().split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
         for piece in pieces[-3:-1]:
             piece.mul_(factor[:, None])
 
@@ -179,9 +184,9 @@ class Stats:
         """Stack normalizers; inputs that a run does not have stay as they are."""
         self.columns, device = columns, columns[0].device
         n = len(normalizers)
-        numbers = [[s.count, s._block_squares, s.clip] for s in normalizers]
-        numbers = torch.tensor(numbers, dtype=torch.float64, device=device)
-        self.count, self.block_squares, self.clip = numbers.view(n, 1, 3).split(
+        own = [[s.count, s._block_squares, s.clip] for s in normalizers]
+        numbers = torch.tensor(own, dtype=torch.float64, device=device)
+        self.count, self.block_squares, self.clip = numbers.view(n, 1, 3).split(  # type: ignore[no-untyped-call]
             1, dim=2
         )
         self.mean, self.squares = torch.zeros(
@@ -356,7 +361,7 @@ class Worlds:
             lengths = lengths + counts[-1]
             terminated = terminated | (counts[-1] & is_end.view(shape))
             live = live & ~void & ~(moving & (is_end | is_cut).view(shape))
-        steps = _packed(*map(torch.stack, (views, actions, rewards, counts)), lengths)
+        steps = _packed(*map(torch.stack, (views, actions, rewards, counts)), lengths)  # type: ignore[call-arg]
         return Played(*steps, lengths, terminated, success, diverged, started)
 
     def _flags(self, info: dict[str, Any], name: str) -> Tensor:
@@ -366,7 +371,7 @@ class Worlds:
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
         keys = ("observation", "achieved_goal", "desired_goal")
-        return torch.cat([obs[key] for key in keys], dim=-1).unflatten(0, self.shape)
+        return torch.cat([obs[key] for key in keys], dim=-1).unflatten(0, self.shape)  # type: ignore[no-untyped-call]
 
 
 def _packed(
@@ -418,7 +423,8 @@ class BatchLearner:
     """
 
     cycles_per_epoch = 1
-    env_steps: Tensor
+    on: Tensor
+    """The runs (E,) that take part now."""
 
     def __init__(
         self, learners: Sequence[Any], env: Any, draws: Draws | None = None
@@ -438,6 +444,9 @@ class BatchLearner:
         self.draws = draws or Draws(seeds)
         self.runs = torch.arange(len(learners), device=self.device)
         self.failures, self._numbers = dict[int, str](), dict[str, Tensor]()
+        rewards = [[r.scale, r.lowest, r.highest] for r in self._of("rewards")]
+        numbers = torch.tensor(rewards, dtype=torch.float64, device=self.device)
+        self.scale, self.lowest, self.highest = numbers.unbind(dim=1)
         self.build()
 
     def build(self) -> None:
@@ -451,11 +460,40 @@ class BatchLearner:
             self._numbers[name] = torch.tensor(values, device=self.device)
         return self._numbers[name]
 
+    def _of(self, name: str) -> list[Any]:
+        return [getattr(one, name) for one in self.learners]
+
     def counters(self, name: str) -> Tensor:
         """Return a number that each single learner counts or keeps, (E,)."""
-        return torch.tensor(
-            [getattr(one, name) for one in self.learners], device=self.device
-        )
+        return torch.tensor(self._of(name), device=self.device)
+
+    @property
+    def unit(self) -> Tensor:
+        """What rewards are divided by, (E, 1); see `RewardScale`."""
+        return torch.where(self.scale == 0, 1.0, self.scale)[:, None]
+
+    def _see(self, rewards: Tensor) -> None:
+        """Widen the bounds of the runs that are on to hold these rewards (E, n)."""
+        mine = rewards.double()
+        lowest = torch.minimum(self.lowest, mine.amin(dim=1))
+        highest = torch.maximum(self.highest, mine.amax(dim=1))
+        self.lowest = torch.where(self.on, lowest, self.lowest)
+        self.highest = torch.where(self.on, highest, self.highest)
+
+    def _grow(self, scale: Tensor, *critics: Networks) -> None:
+        """Raise running scales of rewards to these (E,), and the critics with them."""
+        if not self.config.normalize_rewards:
+            return
+        is_new = (scale > self.scale) & self.on
+        factor = torch.where(is_new & (self.scale > 0), self.scale / scale, 1.0)
+        for critic in critics:
+            critic.scale_outputs(factor.float())
+        self.scale = torch.where(is_new, scale, self.scale)
+
+    def _write_rewards(self, i: int) -> None:
+        values = torch.stack([self.scale, self.lowest, self.highest], dim=1)[i].tolist()
+        rewards = self.learners[i].rewards
+        rewards.scale, rewards.lowest, rewards.highest = values
 
     def columns(self, *more: int) -> list[Tensor]:
         """Return the places of each run's inputs: of its own observation, and all of `more`."""
@@ -618,10 +656,7 @@ class BatchPPO(BatchLearner):
         self.is_learned = torch.ones_like(self.actor_lr)
         self.is_learned[:, n:] = learned
         self.critic_lr = rates[1]
-        self.reward_scale = self.counters("reward_scale").double()
-        self.lowest, self.highest = (
-            self.counters(name).double() for name in ("lowest_reward", "highest_reward")
-        )
+        self.reach = {name: self.counters(name).double() for name in REACH}
         self.played: Played
 
     def _actor_state(self) -> list[Tensor]:
@@ -684,6 +719,8 @@ class BatchPPO(BatchLearner):
         counts = torch.tensor(
             [config.minibatches(max(1, k)) for k in n], device=self.device
         )
+        entropy = 0.5 * self.n_actions * torch.log(2 * math.pi * math.e * self.variance)
+        explained = _explained(batch.pop(), batch[-1], lengths)
         going, sums = self.on.clone(), torch.zeros(n_runs, 4, device=self.device)
         n_updates = torch.zeros_like(counts)
         epochs = self.counters("epochs")
@@ -711,7 +748,9 @@ class BatchPPO(BatchLearner):
             value_loss=means[:, 3],
             kl=means[:, 1],
             clip_fraction=means[:, 2],
-            action_std=self.std().mean(dim=(1, 2)),
+            explained_variance=explained,
+            entropy=entropy[:, 0, 0] + self._log_std().detach().sum(dim=(1, 2)),
+            action_std=self.std().detach().mean(dim=(1, 2)),
             undone=undone,
             updates=n_updates,
         )
@@ -758,14 +797,12 @@ class BatchPPO(BatchLearner):
         verdicts = [(False, False, False)] * n_runs
         if not self.config.undo_silent:
             return (*torch.zeros(2, n_runs, dtype=torch.bool, device=device),)
-        whole = self.played.usable & (self.played.diverged == 0)
-        sums, whole = self.played.rewards.double().sum(dim=2).tolist(), whole.tolist()
+        is_whole = (self.played.usable & (self.played.diverged == 0)).tolist()
+        sums = self.played.rewards.double().sum(dim=2).tolist()
         for i, (one, is_on) in enumerate(
             zip(self.learners, self.on.tolist(), strict=True)
         ):
-            returns = [
-                x for x, is_whole in zip(sums[i], whole[i], strict=True) if is_whole
-            ]
+            returns = [*itertools.compress(sums[i], is_whole[i])]
             if returns and is_on:
                 verdict = one.silence.judge(returns)
                 is_kept = verdict == "learn" and one.silence.can_undo
@@ -781,21 +818,21 @@ class BatchPPO(BatchLearner):
     def _batch(self) -> tuple[tuple[Tensor, Tensor], list[Tensor], Tensor]:
         """Return all inputs with their mask, the transitions (E, n, ...), and how many each run has."""
         played = self.played
-        self._update_reward_scale()
-        scale = torch.where(self.reward_scale == 0, 1.0, self.reward_scale)[:, None]
+        raised = played.rewards.double() * played.usable[..., None]
+        gamma, lam = self.numbers("gamma").double(), self.numbers("gae_lambda").double()
+        self._grow(_discounted(raised, gamma).abs().amax(dim=(1, 2)), self.critic)
         raw = self._inputs(played.obs.flatten(1, 2))
         x = self.stats.scale(raw)
         values = self.critic(x)[..., 0].view(played.obs.shape[:3]).double()
         is_row, lengths = played.rows() & self.on[:, None, None], played.lengths
-        lived = (played.rewards.double() * is_row).flatten(1)
-        self.lowest = torch.minimum(self.lowest, lived.amin(dim=1))
-        self.highest = torch.maximum(self.highest, lived.amax(dim=1))
+        self._see((played.rewards * is_row).flatten(1))
         inside = torch.where(is_row, values[..., :-1], torch.nan).flatten(1)
         lowest = inside.nan_to_num(torch.inf).amin(dim=1, keepdim=True)
         highest = inside.nan_to_num(-torch.inf).amax(dim=1, keepdim=True)
         goes_on = played.diverged > 0
         if self.config.truncation == "bootstrap":
             goes_on = goes_on | ~played.terminated
+        self._follow_returns(torch.maximum(-lowest, highest)[:, 0], goes_on)
         last = values.gather(2, lengths[..., None])[..., 0]
         last = last.clamp(lowest, highest) * goes_on
         is_last = (
@@ -803,8 +840,7 @@ class BatchPPO(BatchLearner):
             == lengths[..., None] - 1
         )
         following = torch.where(is_last, last[..., None], values[..., 1:])
-        gamma, lam = self.numbers("gamma").double(), self.numbers("gae_lambda").double()
-        rewards = played.rewards.double() / scale[..., None]
+        rewards = played.rewards.double() / self.unit[..., None]
         deltas = (rewards + gamma[..., None] * following - values[..., :-1]) * is_row
         advantages = _discounted(deltas, gamma * lam)
         returns = advantages + values[..., :-1]
@@ -818,21 +854,28 @@ class BatchPPO(BatchLearner):
         log_prob = self._log_prob(actions, self.actor(obs))
         normal = _normalized(advantages.flatten(1).gather(1, order), counts)
         target = returns.flatten(1).gather(1, order)
-        batch = [obs, actions, log_prob, normal.float(), target.float()]
+        learned = values[..., :-1].flatten(1).gather(1, order)
+        batch = [obs, actions, log_prob, normal, target, learned]
+        batch = [part.float() for part in batch]
         return (raw, played.rows(1).flatten(1) & self.on[:, None]), batch, counts
 
-    def _update_reward_scale(self) -> None:
-        """Raise the scales of rewards to the largest returns so far, as the single learner does."""
-        if not self.config.normalize_rewards:
-            return
-        rewards = self.played.rewards.double() * self.played.usable[..., None]
-        sums = _discounted(rewards, self.numbers("gamma").double())
-        largest = sums.abs().amax(dim=(1, 2))
-        is_new = (largest > self.reward_scale) & self.on
-        ratio = self.reward_scale / largest
-        factor = torch.where(is_new & (self.reward_scale > 0), ratio, 1.0)
-        self.critic.scale_outputs(factor.float())
-        self.reward_scale = torch.where(is_new, largest, self.reward_scale)
+    def _follow_returns(self, reach: Tensor, goes_on: Tensor) -> None:
+        """Keep how far the first values (E,) reach, and the returns that episodes could have had.
+
+        They are those with which the single learner judges whether its critic has diverged.
+        """
+        played, gamma = self.played, self.numbers("gamma").double()
+        usable = played.usable & self.on[:, None]
+        first, low, high = self.reach.values()
+        first = torch.where((first == 0) & self.on, reach, first)
+        rewards = _padded(played.rewards.double(), played.rewards.shape[2] + 1)
+        for extreme in (self.lowest[:, None], self.highest[:, None]):
+            rest = torch.where(goes_on & (extreme != 0), extreme / (1.0 - gamma), 0.0)
+            whole = rewards.scatter(2, played.lengths[..., None], rest[..., None])
+            sums = torch.where(usable[..., None], _discounted(whole, gamma), 0.0)
+            low = torch.minimum(low, sums.amin(dim=(1, 2)))
+            high = torch.maximum(high, sums.amax(dim=(1, 2)))
+        self.reach = dict(zip(REACH, (first, low, high), strict=True))
 
     def _read_before(self, i: int, saved: dict[str, Any]) -> None:
         """Take the actor to which an undone update of run `i` goes back from its saved states."""
@@ -871,11 +914,9 @@ class BatchPPO(BatchLearner):
         critic = self.critic
         _write_adam(i, critic, one.critic_adam, 0, (critic.m, critic.v, critic.n_steps))
         self.stats.write(i, one.obs_stats)
-        one.reward_scale = float(self.reward_scale[i])
-        one.lowest_reward, one.highest_reward = (
-            float(self.lowest[i]),
-            float(self.highest[i]),
-        )
+        self._write_rewards(i)
+        for name, values in self.reach.items():
+            setattr(one, name, float(values[i]))
         return one
 
 
@@ -902,6 +943,16 @@ def _normalized(advantages: Tensor, counts: Tensor) -> Tensor:
     std = (centred.square().sum(1, keepdim=True) / n).sqrt()
     is_spread = std > 1e-10 * (advantages * mask).abs().amax(1, keepdim=True)
     return torch.where(is_spread, centred / std, 0.0)
+
+
+def _explained(values: Tensor, returns: Tensor, counts: Tensor) -> Tensor:
+    """Return what `explained_variance` does of the first `counts` (E,) values (E, n)."""
+    mask = torch.arange(values.shape[1], device=counts.device) < counts[:, None]
+    n, spreads = counts.clamp(min=1), list[Tensor]()
+    for part in (returns - values, returns):
+        mean = (part * mask).sum(dim=1) / n
+        spreads.append(((part - mean[:, None]) * mask).square().sum(dim=1))
+    return torch.where(spreads[1] > 0, 1.0 - spreads[0] / spreads[1], 0.0)
 
 
 class BatchDDPGHER(BatchLearner):
@@ -933,10 +984,7 @@ class BatchDDPGHER(BatchLearner):
         for i, one in enumerate(learners):
             _read_adam(i, self.actor, one.actor_adam)
             _read_adam(i, self.critic, one.critic_adam)
-        self.worst, self.best, self.reward_scale = (
-            self.counters(name).double() for name in ("worst", "best", "reward_scale")
-        )
-        self.largest = torch.zeros_like(self.best)
+        self.largest = torch.zeros_like(self.highest)
         one_return = rollout.largest_return
         steps = learners[0].replay.max_steps
         of_ones = [one_return([1.0] * steps, one.config.gamma) for one in learners]
@@ -971,7 +1019,8 @@ class BatchDDPGHER(BatchLearner):
         )
         hold = self.numbers("random_hold")
         begin = random_eps / (random_eps + hold * (1.0 - random_eps))
-        is_random, drawn = None, torch.zeros(0)
+        is_random = torch.zeros(self.worlds.shape, dtype=torch.bool, device=self.device)
+        drawn = torch.zeros(*self.worlds.shape, self.n_actions, device=self.device)
 
         def act(obs: Tensor, numbers: Tensor, steps: Tensor, moving: Tensor) -> Tensor:
             nonlocal is_random, drawn
@@ -986,14 +1035,12 @@ class BatchDDPGHER(BatchLearner):
             )
             noisy = (actions + noise).clamp(-1.0, 1.0)
             new = (2 * uniform[..., d + 1 :] - 1).float()
-            if bool((steps == 0).all()):  # of a wave
-                is_random, drawn = chance < random_eps, new
-            else:
-                was = torch.zeros_like(moving) if is_random is None else is_random
-                is_new = chance < torch.where(was, begin / hold, begin)
-                is_held = was & (chance >= 1.0 / hold)
-                drawn = torch.where((is_new & moving)[..., None], new, drawn)
-                is_random = torch.where(moving, is_new | is_held, was)
+            is_first = steps == 0
+            after = torch.where(is_random, begin / hold, begin)
+            is_new = chance < torch.where(is_first, random_eps, after)
+            is_held = is_random & ~is_first & (chance >= 1.0 / hold)
+            drawn = torch.where((is_new & moving)[..., None], new, drawn)
+            is_random = torch.where(moving, is_new | is_held, is_random)
             return torch.where(is_random[..., None], drawn, noisy)
 
         def is_taken(lengths: Tensor, indices: Tensor) -> Tensor:
@@ -1107,38 +1154,66 @@ class BatchDDPGHER(BatchLearner):
         row, following = self.memory[e, slot, t], self.memory[e, slot, t + 1]
         a, b = self.width, self.width + self.n_goal
         goal, reward = row[..., b : b + self.n_goal], row[..., -2]
+        terminal = row[..., -1]
         if self.is_relabelled:
             is_new = u[..., 1] < self.numbers("replay_p")
             future = t + 1 + (u[..., 2] * (length - t)).long()
             goal = torch.where(
                 is_new[..., None], self.memory[e, slot, future][..., a:b], goal
             )
-            reward = self._reward(following[..., a:b], goal)
+            reward, ends = self._judged(following[..., a:b], goal)
+            if slots is None and self.learners[0].replay.ends:
+                terminal = self._terminal(reward, terminal, is_new, ends)
         first = b + self.n_goal
         action = row[..., first : first + self.n_actions]
-        return Batch(
-            row[..., :a], goal, action, reward, following[..., :a], row[..., -1]
-        )
+        return Batch(row[..., :a], goal, action, reward, following[..., :a], terminal)
 
-    def _reward(self, achieved: Tensor, desired: Tensor) -> Tensor:
-        """Return rewards (E, n) of goals (E, n, goal), which the environment computes with NumPy."""
-        goals = (part.flatten(0, 1).cpu().numpy() for part in (achieved, desired))
-        rewards = self.learners[0].workers.compute_reward(*goals)
-        return torch.as_tensor(rewards, dtype=torch.float32, device=self.device).view(
-            achieved.shape[:2]
+    def _judged(
+        self, achieved: Tensor, desired: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Return rewards (E, n) of goals (E, n, goal), and whether they end an episode, if known.
+
+        The environment computes them with NumPy.
+        """
+        replay, shape = self.learners[0].replay, achieved.shape[:2]
+        goals = [part.flatten(0, 1).cpu().numpy() for part in (achieved, desired)]
+        ends = replay.ends(*goals) if replay.ends else None
+        rewards, over = (
+            None
+            if part is None
+            else torch.as_tensor(part, dtype=torch.float32, device=self.device)
+            for part in (replay.reward(*goals), ends)
         )
+        assert rewards is not None
+        return rewards.view(shape), None if over is None else over.view(shape)
+
+    def _terminal(
+        self, reward: Tensor, was: Tensor, is_new: Tensor, ends: Tensor | None
+    ) -> Tensor:
+        """Return whether transitions (E, n) end the episode, as the single learner's replay does."""
+        if ends is not None:
+            return torch.where(is_new, ends, was)
+        rows = (self.lengths - 1).clamp(min=0)[..., None, None].expand(-1, -1, -1, 2)
+        last = self.memory[..., -2:].gather(2, rows)[:, :, 0]
+        has_ended = (self.lengths > 0) & (last[..., 1] == 1)
+        lowest = torch.where(has_ended, last[..., 0], torch.inf).amin(dim=1)
+        others = torch.where(is_new | (was == 1), -torch.inf, reward).amax(dim=1)
+        is_told = ((lowest > others) & (others > -torch.inf))[:, None]
+        return torch.where(is_told & is_new, (reward >= lowest[:, None]).float(), was)
 
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> list[dict[str, float]]:
-        """Take one cycle's updates of each active run, with one or more moves of the target networks."""
+        """Take one cycle's updates of each active run, and move its target networks."""
         config, n = self.config, self.config.n_batches
         size, counts = (
             n * config.batch_size,
             torch.full_like(self.runs, n * config.batch_size),
         )
         drawn = self._sample(counts, size, None, 1)
-        self._update_reward_scale(drawn.reward)
+        self._see(drawn.reward)
+        extreme = torch.stack([-self.lowest, self.highest, self.largest]).amax(dim=0)
+        self._grow(extreme / self.of_ones, self.critic, self.target_critic)
         batch = drawn._replace(
             obs=self._scaled(drawn.obs, drawn.goal),
             next_obs=self._scaled(drawn.next_obs, drawn.goal),
@@ -1153,11 +1228,10 @@ class BatchDDPGHER(BatchLearner):
             one.updates += n * is_on
         means = sums / n
         self._require_finite(means, self.actor, self.critic)
-        scale = torch.where(self.reward_scale == 0, 1.0, self.reward_scale)
         return self._rows(
             critic_loss=means[:, 0],
             actor_loss=means[:, 1],
-            mean_q=means[:, 2] * scale,
+            mean_q=means[:, 2] * self.unit[:, 0],
             updates=counts * 0 + n,
         )
 
@@ -1185,17 +1259,14 @@ class BatchDDPGHER(BatchLearner):
         """Return the critics' targets (E, n), from the target networks."""
         actions = self.target_actor(batch.next_obs)
         values = self.target_critic(torch.cat([batch.next_obs, actions], dim=2))[..., 0]
-        scale = torch.where(self.reward_scale == 0, 1.0, self.reward_scale)[:, None]
-        gamma = self.numbers("gamma")
+        unit, gamma = self.unit, self.numbers("gamma")
         terminal = batch.terminal * (self.config.termination == "terminal")
-        rewards = batch.reward / scale.float()
+        rewards = batch.reward / unit.float()
         targets = td_targets(rewards, values, terminal, gamma, None)  # type: ignore[arg-type]
         if not self.config.clip_target:
             return targets
-        reward_span = (-self.worst[:, None] / scale, self.best[:, None] / scale)
-        return targets.clamp(
-            *((reward / (1.0 - gamma)).float() for reward in reward_span)
-        )
+        span = self.lowest[:, None] / unit, self.highest[:, None] / unit
+        return targets.clamp(*((reward / (1.0 - gamma)).float() for reward in span))
 
     @torch.no_grad()
     def _move_targets(self) -> None:
@@ -1206,26 +1277,6 @@ class BatchDDPGHER(BatchLearner):
             (self.target_critic, self.critic),
         ):
             target.flat.lerp_(network.flat, share)
-
-    @torch.no_grad()
-    def _update_reward_scale(self, rewards: Tensor) -> None:
-        """Move the bounds of rewards to hold those drawn (E, n), as the single learner does."""
-        mine = ((self.worst, -rewards.amin(dim=1)), (self.best, rewards.amax(dim=1)))
-        self.worst, self.best = (
-            torch.where(self.on, torch.maximum(old, new.double()), old)
-            for old, new in mine
-        )
-        if not self.config.normalize_rewards:
-            return
-        largest = torch.stack([self.worst, self.best, self.largest]).amax(dim=0)
-        scale = largest / self.of_ones
-        is_new = (scale > self.reward_scale) & self.on
-        factor = torch.where(
-            is_new & (self.reward_scale > 0), self.reward_scale / scale, 1.0
-        )
-        for critic in (self.critic, self.target_critic):
-            critic.scale_outputs(factor.float())
-        self.reward_scale = torch.where(is_new, scale, self.reward_scale)
 
     # -- saving ------------------------------------------------------------------------------
 
@@ -1271,9 +1322,8 @@ class BatchDDPGHER(BatchLearner):
             _write_adam(i, stacked, adam, 0, (stacked.m, stacked.v, stacked.n_steps))
         self.obs_stats.write(i, one.obs_stats)
         self.goal_stats.write(i, one.goal_stats)
-        for name in ("worst", "best", "reward_scale"):
-            setattr(one, name, float(getattr(self, name)[i]))
-        width, goal = one.spaces.observation["observation"].shape[0], self.n_goal
+        self._write_rewards(i)
+        width, goal = len(self.obs_stats.columns[i]), self.n_goal
         for slot in self.unsaved.pop(id(one), {}):
             n = int(self.lengths[i, slot])
             rows = self.memory[i, slot, : n + 1].cpu().numpy()

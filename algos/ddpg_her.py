@@ -44,6 +44,7 @@ from .policy import (
     n_boolean,
     new_actor,
     on_cpu,
+    require_layers,
 )
 from .replay import Batch, GoalObs, Replay
 from .rollout import PlayEpisode, largest_return, play_episodes, summary
@@ -515,6 +516,7 @@ class DDPGHER(Learner):
     def saved_policy(
         config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]
     ) -> Policy:
+        require_layers(config.hidden, spaces, saved["actor"])
         actor = new_actor(config.hidden, spaces, torch.Generator())
         obs_stats, goal_stats = _stats(config, spaces, Communicator())
         parts = {"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +22,7 @@ from .normalizer import Normalizer, Scaling
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
-MAX_ENTRIES = 10**7  # of an observation or an action: more is a damaged file
+MAX_ENTRIES = 10**6  # of an observation or an action: more is a damaged file
 Noise = Callable[[Array], Array]
 """Make actions (n, d) in [-1, 1] noisy, perhaps beyond these bounds."""
 TaxelScale = Literal["none", "block", "each"]
@@ -61,6 +62,8 @@ class Spaces(NamedTuple):
         try:
             known = json.loads(text)
             shapes, action = known["observation"], known["action"]
+            if set(shapes) != {""} and not set(shapes) <= {*GOAL_KEYS}:
+                raise ValueError(f"spaces: found {len(shapes)} parts, no {GOAL_DICT}")
             boxes: dict[str, gym.Space[Any]] = {
                 key: _box(-np.inf, np.inf, shape, np.float32)
                 for key, shape in shapes.items()
@@ -265,6 +268,20 @@ class Policy:
         actions = self._actions([*views], noise)
         return self.to_env(actions[0] if n is None else actions)
 
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Array, None]:
+        """Return (actions, None), as a model of Stable-Baselines3 does, whose tools can play it.
+
+        Noise is drawn anew at every call; for noise from a seed, see `act`.
+        """
+        rng = None if deterministic else np.random.default_rng()
+        return self.act(observation, deterministic, rng), None
+
     def read(self, obs: Any) -> Any:
         """Return what is kept of an observation from an environment.
 
@@ -371,6 +388,23 @@ def _rows(obs: Any, n: int) -> list[Any]:
 def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
     """Return a policy's network with `hidden` units in its layers."""
     return MLP(network_sizes(hidden, spaces), generator, tanh=True)
+
+
+def require_layers(
+    hidden: Sequence[int], spaces: Spaces, weights: Mapping[str, Tensor]
+) -> None:
+    """Raise ValueError unless saved `weights` are those of such a policy's network.
+
+    So a small file, which is cheap to look at, cannot ask for a large network.
+    """
+    sizes = itertools.pairwise(network_sizes(hidden, spaces))
+    wanted = [shape for n, m in sizes for shape in ((m, n), (m,))]
+    if [tuple(part.shape) for part in weights.values()] != wanted or not all(
+        part.is_contiguous() for part in weights.values()
+    ):
+        raise ValueError(
+            f"actor: found {len(weights)} weights and biases, which do not fit `hidden` and the spaces"
+        )
 
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:

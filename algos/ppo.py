@@ -33,6 +33,7 @@ from .policy import (
     input_stats,
     new_actor,
     on_cpu,
+    require_layers,
 )
 from .rollout import (
     Episode,
@@ -158,6 +159,13 @@ def normalize(advantages: Array) -> Array:
     )
 
 
+def explained_variance(values: Tensor, returns: Tensor) -> float:
+    """Return the share of the variance of returns (n,) that values (n,) tell; 0 where there is none."""
+    variance = returns.var(unbiased=False)
+    unexplained = (returns - values).var(unbiased=False)
+    return float(1.0 - unexplained / variance) if variance > 0 else 0.0
+
+
 class Gaussian(nn.Module):
     """Give actions independent normal noise, in units where the bounds are ±1.
 
@@ -172,6 +180,11 @@ class Gaussian(nn.Module):
         """Return the standard deviation of each action, float32 (d,)."""
         relative: Array = self.log_std.detach().cpu().exp().numpy()
         return np.float32(self.variance**0.5) * relative
+
+    def entropy(self) -> float:
+        """Return the differential entropy, nats, where bounds are ±1."""
+        each = 0.5 * math.log(2 * math.pi * math.e * self.variance) + self.log_std
+        return each.sum().item()
 
     def log_prob(self, actions: Tensor, mean: Tensor) -> Tensor:
         """Return the log density (n,) of actions (n, d)."""
@@ -199,7 +212,7 @@ class Surrogate(NamedTuple):
     """True where the ratio is outside the clip range."""
 
 
-def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
+def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: Any) -> Surrogate:
     """Return the clipped objective from log ratios and advantages (n,) (Schulman et al. 2017, eq. 7).
 
     Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any clip range; what
@@ -285,6 +298,8 @@ class Transitions(NamedTuple):
     """Log density of the actions when they were taken."""
     advantages: Tensor
     returns: Tensor
+    values: Tensor
+    """Values of the critic before it learned from these."""
 
 
 class PPO(Learner):
@@ -296,8 +311,10 @@ class PPO(Learner):
         *(*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam"),
         *("silence", "rewards"),
     )
-    plain = ("env_steps", "epochs", "before_update", "first_values")
-    plain += ("lowest_return", "highest_return")
+    plain = (
+        *("env_steps", "epochs", "before_update"),
+        *("first_values", "lowest_return", "highest_return"),
+    )
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
@@ -400,6 +417,8 @@ class PPO(Learner):
         self.require_finite([*learned.values()], self.actor, self.gaussian, self.critic)
         self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
         return learned | {
+            "explained_variance": explained_variance(batch.values, batch.returns),
+            "entropy": self.gaussian.entropy(),
             "action_std": float(self.gaussian.std().mean()),
             "undone": int(verdict == "undo"),
             "updates": len(value_losses),
@@ -490,14 +509,14 @@ class PPO(Learner):
         advantage = np.concatenate(advantages)
         returns = finite(advantage + learned, "a return")
         taken = np.concatenate([np.stack(episode.actions) for episode in episodes])
-        actions, normalized, target = (
+        actions, normalized, target, predicted = (
             torch.from_numpy(column.astype(np.float32)).to(self.device)
-            for column in (taken, normalize(advantage), returns)
+            for column in (taken, normalize(advantage), returns, learned)
         )
         acted_on = torch.cat([seen[:-1] for seen in obs])
         # Of the actor that played; where it is then undone, this epoch does not update it.
         log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
-        return Transitions(acted_on, actions, log_prob, normalized, target)
+        return Transitions(acted_on, actions, log_prob, normalized, target, predicted)
 
     def _warn_of_divergence(self, values: Array) -> None:
         """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
@@ -547,6 +566,7 @@ class PPO(Learner):
     def saved_policy(
         config: PPOConfig, spaces: Spaces, saved: dict[str, Any]
     ) -> Policy:
+        require_layers(config.hidden, spaces, saved["actor"])
         parts = _policy_parts(config, spaces, torch.Generator())
         restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
         return _policy(config, spaces, *parts)

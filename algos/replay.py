@@ -69,6 +69,7 @@ class Replay:
             )
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
         self.sizes, self.n_boolean = sizes, n_boolean
+        self._n_float = sizes[0] - n_boolean
         self.reward, self.rng, self.ends = reward, rng, ends
         self.n_episodes = 0
         self._rows = max_steps + 1
@@ -117,11 +118,11 @@ class Replay:
 
     def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
         """Return shape and type of every column; a row is one step of one slot."""
-        n_boolean, (n_obs, n_goal, n_action) = self.n_boolean, self.sizes
+        _, n_goal, n_action = self.sizes
         rows = self.n_slots * self._rows
         return {
-            "obs": ((rows, n_obs - n_boolean), np.float32),
-            "boolean": ((rows, n_boolean), np.uint8),
+            "obs": ((rows, self._n_float), np.float32),
+            "boolean": ((rows, self.n_boolean), np.uint8),
             "achieved": ((rows, n_goal), np.float32),
             "desired": ((rows, n_goal), np.float32),
             "action": ((rows, n_action), np.float32),
@@ -172,7 +173,12 @@ class Replay:
             }
             self._lengths = np.zeros(self.n_slots, np.int64)
         first, n_rows = slot * self._rows, len(columns["obs"])
-        for name, values in {**columns, **self._split(columns["obs"])}.items():
+        obs = columns["obs"]
+        last = obs[:, self._n_float :]
+        columns = {**columns, "obs": obs[:, : self._n_float], "boolean": last}
+        if not ((last == 0) | (last == 1)).all():  # as under a wrapper's noise
+            self._columns["boolean"] = self._columns["boolean"].astype(np.float32)
+        for name, values in columns.items():
             self._columns[name][first : first + n_rows] = values
         self._lengths[slot] = n_rows - 1
         self.n_episodes = max(self.n_episodes, slot + 1)
@@ -187,22 +193,6 @@ class Replay:
         boolean = columns.pop("boolean")
         columns["obs"] = np.concatenate([columns["obs"], boolean], axis=1)
         return columns
-
-    def _split(self, obs: Array) -> dict[str, Array]:
-        """Return observations (n, size) as they are stored: floats, and bytes at their end.
-
-        All are floats from where those turn out to be something else than 0 and 1, as under a
-        wrapper's noise.
-        """
-        last = obs[:, self.sizes[0] - self.n_boolean :]
-        if not ((last == 0) | (last == 1)).all():
-            floats, boolean = self._columns["obs"], self._columns["boolean"]
-            self._columns["obs"] = np.concatenate(
-                [floats, boolean.astype(np.float32)], axis=1
-            )
-            self._columns["boolean"], self.n_boolean = boolean[:, :0], 0
-        n_float = self.sizes[0] - self.n_boolean
-        return {"obs": obs[:, :n_float], "boolean": obs[:, n_float:]}
 
     # -- sampling ----------------------------------------------------------------------------
 
@@ -280,11 +270,8 @@ class Replay:
         return slot, pick - (ends[which] - self._lengths[slot])
 
     def _observations(self, rows: Array) -> Array:
-        n_float = self.sizes[0] - self.n_boolean
-        obs = np.empty((len(rows), self.sizes[0]), np.float32)
-        obs[:, :n_float] = self._columns["obs"][rows]
-        obs[:, n_float:] = self._columns["boolean"][rows]
-        return obs
+        parts = self._columns["obs"][rows], self._columns["boolean"][rows]
+        return np.concatenate(parts, axis=1, dtype=np.float32)
 
     # -- saving ------------------------------------------------------------------------------
 

@@ -17,10 +17,9 @@ from typing import Any
 
 from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
-from benchmarks.learners import scaling
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import forces, hands, hard_cases, hold_verdict, speed_vs_error
-from benchmarks.studies import gates, learner_tables, losses, setups_study, study_tables
+from benchmarks.studies import gates, learner_tables, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -43,7 +42,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     "updates": _parts("peers", updates.show, "updates"),
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),
-    "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates"),
     "forces": _of("forces", forces.show),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     **{
@@ -53,10 +51,8 @@ PRINTED: dict[str, Callable[[], None]] = {
         )
     },
     "hands": _of("hands", hands.show),
-    "hard cases": _of("hard_cases", hard_cases.show_short),
-    "hard cases, long": _of("hard_cases_long", hard_cases.show),
+    "hard cases": _of("hard_cases", hard_cases.show),
     **learner_tables.TABLES,
-    **losses.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},

@@ -137,7 +137,7 @@ def require_ends(config: Any, *names: str) -> None:
     """Raise ValueError for an end of a range that the type of its field does not allow."""
     for name in names:
         for end in bounds(name, getattr(config, name)):
-            require_type(end, hints(type(config))[name], name)
+            require_type(end, hints(type(config))[name], name)  # type: ignore[arg-type]
 
 
 def scaled(value: Any, factor: float) -> Any:

@@ -29,8 +29,9 @@ class LQREnv(gym.Env[Array, Array]):
     """Largest position and velocity at the start, which are uniform."""
     max_episode_steps = 60
 
-    def __init__(self) -> None:
-        """Make the spaces."""
+    def __init__(self, render_mode: None = None) -> None:
+        """Make the spaces; ValueError where it is to be rendered."""
+        _require_no_picture(render_mode)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
         self.observation_space = BOX
 
@@ -74,8 +75,9 @@ class PointReachEnv(gym.Env[Any, Array]):
     tolerance = 0.08
     max_episode_steps = 25
 
-    def __init__(self) -> None:
-        """Make the spaces of a goal environment."""
+    def __init__(self, render_mode: None = None) -> None:
+        """Make the spaces of a goal environment; ValueError where it is to be rendered."""
+        _require_no_picture(render_mode)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = gym.spaces.Dict(
             {"observation": BOX, "achieved_goal": BOX, "desired_goal": BOX}
@@ -117,3 +119,10 @@ class PointReachEnv(gym.Env[Any, Array]):
             "achieved_goal": point.copy(),
             "desired_goal": goal,
         }
+
+
+def _require_no_picture(render_mode: str | None) -> None:
+    if render_mode is not None:
+        raise ValueError(
+            f"render_mode: found {render_mode!r}, allowed None: a toy has no picture"
+        )

@@ -13,6 +13,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
@@ -79,6 +80,7 @@ def names(dataclass: Any) -> set[str]:
     return {field.name for field in dataclasses.fields(dataclass)}
 
 
+@cache
 def hints(kind: type) -> dict[str, Any]:
     """Return the types of a dataclass's fields, with their intervals."""
     return get_type_hints(kind, include_extras=True)
@@ -89,7 +91,7 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
 
     Raises ValueError naming the first key that is missing, unknown or of another type.
     """
-    types = hints(kind)
+    types = hints(kind)  # type: ignore[arg-type]
     require_known(require_type(table, dict, where), types, where)
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]

@@ -101,6 +101,7 @@ class Learner:
         *,
         progress: bool = False,
         callback: Callback | None = None,
+        tensorboard: str | Path | None = None,
     ) -> Learner:
         """Learn for `total_timesteps` environment steps, and to the end of the cycle that reaches them.
 
@@ -109,11 +110,15 @@ class Learner:
 
         `progress` shows what ``tactilerl train`` shows. `callback` is called after every epoch with
         its row of ``progress.csv`` (``env_steps``, ``mean_return``, ``success_rate``, ...) and stops
-        the learning by returning False.
+        the learning by returning False. `tensorboard` is a folder for events of the same columns.
 
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
+        if callback is not None and not callable(callback):
+            raise ValueError(
+                f"callback: found {callback!r}, allowed a function of a row"
+            )
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.require(RunOptions, vars(run))
         # Its workers are in the process that made it, and it would wait for them.
@@ -127,7 +132,8 @@ class Learner:
         with _one_thread():
             if not self._epoch:
                 learner.check()
-            with EpochLog(learner, self._comm, is_quiet=not progress) as log:
+            events = None if tensorboard is None else Path(tensorboard)
+            with EpochLog(learner, self._comm, events, is_quiet=not progress) as log:
                 for row in training.epochs(learner, self._epoch):
                     self._epoch = row["epoch"]
                     log.epoch(row)
@@ -147,6 +153,17 @@ class Learner:
     ) -> np.ndarray:
         """Return actions of the current policy: see `Policy.act`."""
         return self._learner.policy().act(obs, deterministic, rng)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, None]:
+        """Return (actions, None) of the current policy: see `Policy.predict`."""
+        policy = self._learner.policy()
+        return policy.predict(observation, state, episode_start, deterministic)
 
     def save(self, path: str | Path) -> None:
         """Write the current policy to a file that `load_policy` reads, replacing an older one.
@@ -253,6 +270,9 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
+    for name, value in {"out": out, "resume": resume}.items():
+        if value is not None and (value == "" or not isinstance(value, str | Path)):
+            raise ValueError(f"{name}: found {value!r}, allowed a folder")
     base = resolve(algo, env or "", recipe, scene, resume)
     named = {"env": env, "algo": algo, "out": out and str(out)}
     flags |= {name: value for name, value in named.items() if value is not None}

@@ -20,6 +20,9 @@ import filelock
 from .errors import BusyError, InputError
 
 MAX_BYTES = 10**9  # bytes of a file that is read as a whole
+MAX_RECORD = (
+    3 * 10**7
+)  # of a JSON or CSV file, which takes fifty times that when it is parsed
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
 LOCK_WAIT = 2.0  # s; who only looks at a lock has it for an instant

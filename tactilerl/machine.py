@@ -12,8 +12,8 @@ from typing import Annotated, TypedDict
 from .envs.simulators import SIMULATORS
 from .version import __version__
 
-PACKAGES = ("torch", "numpy", "gymnasium", "gymnasium-robotics", "mpi4py")
-PACKAGES += ("mujoco-warp", "warp-lang")
+PACKAGES = ["torch", "numpy", "gymnasium", "gymnasium-robotics", "mpi4py"]
+PACKAGES += ["mujoco-warp", "warp-lang"]
 WorkerCount = Annotated[int, "[1, 256]"] | None
 """Number of episodes that are played side by side; None: as many as there are free cores."""
 

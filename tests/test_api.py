@@ -333,6 +333,15 @@ class TestMistakes:
     def test_a_damaged_policy_is_refused(self):
         tactilerl.PPO("lqr", **PPO).save("policy.pt")
         whole = torch.load("policy.pt", weights_only=True)
+        parts = ", ".join(f'"{n}": [999999]' for n in range(99))
+        for change in (
+            dict(spaces=whole["spaces"].replace('"": [2]', parts)),
+            dict(spaces=whole["spaces"].replace("[2]", "[999999]"), learner='{"hidden": [9999]}'),
+            dict(learner=whole["learner"].replace("[16]", str(999 * [300]))),
+        ):  # small files that would take gigabytes
+            store.write_tensors(Path("bad.pt"), {**whole, **change})
+            with pytest.raises(ValueError, match=r"bad\.pt: damaged \(\w+: found \d+ (parts|weights)"):
+                tactilerl.load_policy("bad.pt")
         for change in (
             dict(policy_format=99),
             dict(algo="sac"),
@@ -441,3 +450,18 @@ class TestExamples:
         result = python(str(path), "--steps", "60", MUJOCO_GL="egl", TMPDIR=str(tmp_path))
         assert result.returncode == 0, result.stderr
         assert "tactilerl: error" not in result.stderr, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: tactilerl.load_policy(None), "path"),
+        (lambda: tactilerl.train(resume=3), "resume"),
+        (lambda: tactilerl.train(out=3), "out"),
+        (lambda: tactilerl.train(out=""), "out"),
+        (lambda: tactilerl.PPO("lqr").learn(1, callback=3), "callback"),
+    ],
+)
+def test_an_argument_of_another_type_is_one_line(call, name):
+    with pytest.raises(ValueError, match=f"^{name}: found "):
+        call()

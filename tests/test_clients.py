@@ -64,3 +64,24 @@ def test_gymnasiums_max_episode_steps_is_the_tasks_own():
     with pytest.raises(ValueError, match="max_episode_steps: found 20, allowed 53 or more"):
         gym.make("tactilerl/Handover-v0", max_episode_steps=20)
     assert gym.make("tactilerl/Shadow-v0", layout="5").unwrapped.max_episode_steps == 100
+
+
+def test_stable_baselines3_evaluates_our_policies(tmp_path):
+    """A learner and a loaded policy; the toys take render_mode=None, as its make_vec_env gives it."""
+    evaluate_policy = pytest.importorskip("stable_baselines3.common.evaluation").evaluate_policy
+    for name in ("tactilerl/LQR-v0", "tactilerl/PointReach-v0"):
+        env = gym.make(name, render_mode=None)
+        learner = tactilerl.PPO(env, steps_per_epoch=60, n_passes=1, hidden=(8,))
+        learner.learn(60, tensorboard=tmp_path / "events")
+        assert [*(tmp_path / "events").iterdir()]
+        learner.save(tmp_path / "policy.pt")
+        loaded = tactilerl.load_policy(tmp_path / "policy.pt")
+        obs, _ = env.reset(seed=0)
+        for policy in (learner, loaded):
+            action, state = policy.predict(obs, deterministic=True)
+            assert np.array_equal(action, learner.act(obs))
+            assert state is None
+            assert (policy.predict(obs)[0] != policy.predict(obs)[0]).any()
+            assert np.isfinite(evaluate_policy(policy, env, n_eval_episodes=2)).all()
+        with pytest.raises(ValueError, match="render_mode: found 'human', allowed None"):
+            tactilerl.make(name, render_mode="human")

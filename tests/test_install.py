@@ -2,8 +2,10 @@
 
 import importlib
 import re
+import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -55,26 +57,39 @@ def test_make_train_trains_two_hands_side_by_side_and_fails_where_one_does(tmp_p
     assert (tmp_path / "touch/checkpoint.pt").is_file()
 
 
-def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path, in_tmp):
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    offline = ["--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*pip, "wheel", *offline, "--wheel-dir", tmp_path, str(ROOT)], check=True)
-    (wheel,) = tmp_path.glob("tactilerl-*.whl")
+def test_wheel_and_sdist_of_a_copy_have_every_file_and_run_outside_the_checkout(tmp_path, in_tmp):
+    copy, names = tmp_path / "copy", ("tactilerl", "envs", "algos")
+    for name in names:
+        assert not (ROOT / "tactilerl" / name).is_symlink()  # an archive may have no links
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("setup.cfg", "pyproject.toml", "README.md", "LICENSE", "NOTICE"):
+        shutil.copy(ROOT / name, copy)
+    make = "from setuptools import build_meta as b; b.build_sdist('..'); b.build_wheel('..')"
+    subprocess.run([sys.executable, "-c", make], check=True, cwd=copy, capture_output=True)
+    (wheel,), (sdist,) = tmp_path.glob("tactilerl-*.whl"), tmp_path.glob("tactilerl-*.tar.gz")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "site")
-    shipped = {".py", ".toml", ".typed"}
-    expected = {
-        path.relative_to(ROOT).as_posix().removeprefix("tactilerl/")
-        for folder in ("tactilerl", "envs", "algos")
-        for path in (ROOT / folder).rglob("*")
-        if path.suffix in shipped
-    }
+    with tarfile.open(sdist) as archive:
+        packed = {name.partition("/")[2] for name in archive.getnames()}
+    files = [path for name in names for path in (ROOT / name).rglob("*")]
+    files = [
+        path for path in files if path.suffix in {".py", ".toml", ".xml", ".j2", ".html", ".typed"}
+    ]
+    assert {path.relative_to(ROOT).as_posix() for path in files} <= packed
     package = tmp_path / "site/tactilerl"
-    found = {p.relative_to(package).as_posix() for p in package.rglob("*") if p.suffix in shipped}
-    assert found == expected
+    found = {p.relative_to(package).as_posix() for p in package.rglob("*") if p.is_file()}
+    assert found == {path.relative_to(ROOT).as_posix().removeprefix("tactilerl/") for path in files}
     code = "import tactilerl; print(tactilerl.__file__); from tactilerl.commands.cli import main; "
     code += "main(['env', '--env', 'shadow'])"
     result = python("-c", code, PYTHONPATH=str(package.parent))
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith(str(package))
     assert "shadow" in result.stdout
+
+
+@pytest.mark.parametrize("name", ["envs", "algos"])
+def test_a_part_of_the_package_is_never_there_twice(name, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    result = python("-c", f"import {name}")
+    assert result.returncode == 1
+    assert result.stderr.strip().endswith(f"{name} is part of tactilerl: import tactilerl.{name}")

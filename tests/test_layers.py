@@ -9,18 +9,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # The rooms of the application, and the few files beside them: each may use itself and those before.
 ROOMS = ["envs", "algos", "version", "errors", "files", "machine", "statistics", "style", "terminal"]
-ROOMS += [
-    "runs",
-    "pictures",
-    "scripted",
-    "placement",
-    "import_hand",
-    "study",
-    "commands",
-    "api",
-    "",
-    "__main__",
-]
+ROOMS += ["runs", "pictures", "scripted", "placement", "import_hand", "study", "commands", "api"]
+ROOMS += ["", "__main__"]
 BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "api", "", "__main__"}
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/", "tactilerl/import_hand/"),

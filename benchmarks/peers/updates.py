@@ -15,7 +15,7 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.ppo import PPO, PPOConfig
 
 from benchmarks.command import Contender, contest, markdown, rounds
-from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals, fed
+from benchmarks.peers.random_goals import GOAL, STEPS, RandomGoals, fed
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3

@@ -8,7 +8,7 @@ goes, into what is there already:
 
     python -m benchmarks hard_cases --steps 100 --out docs/data/hard_cases.json
     python -m benchmarks hard_cases --hand mpl --simulator mujoco --case "random actions" \
-        --steps 100000 --out docs/data/hard_cases_long.json
+        --steps 100000
 """
 
 from __future__ import annotations
@@ -220,34 +220,7 @@ def main() -> int:
     return 0 if is_ok else 1
 
 
-FORMATS = {
-    "overlap": (1e3, ".1f"),
-    "speed": (1, ".2f"),
-    "joint": (1, ".3f"),
-    "diverged": (1, ".0f"),
-    "warnings": (1, ".0f"),
-}
-
-
 def show(results: dict[str, dict[str, dict[str, Any]]]) -> None:
-    """Print a table with what left its limits in bold."""
-    rows = []
-    for pair, cases in results.items():
-        for name, row in cases.items():
-            words = [name, pair, f"{row['steps']:,}", f"{row['physics_steps']:,}"]
-            for key, (factor, form) in FORMATS.items():
-                value = f"{factor * row[key]:{form}}"
-                limit = row["limits"][key] * (row["steps"] if key == "diverged" else 1)
-                words.append(value if row[key] <= limit else f"**{value}**")
-            rows.append(words)
-    head = (
-        "| case | pair | steps | physics steps | overlap, mm | object, m/s | beyond range, rad "
-        "| diverged | warnings |"
-    )
-    markdown(head, rows)
-
-
-def show_short(results: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Print overlap, speed and joint in a column for each pair."""
     rows = [
         (name, *(_short(cases[name]) for cases in results.values() if name in cases)) for name in CASES

@@ -12,7 +12,7 @@ from tactilerl.statistics import Array
 from tactilerl.study.records import Record
 
 from benchmarks.command import markdown
-from benchmarks.studies.study_tables import in_common, load, mean, paired, title
+from benchmarks.studies.study_tables import in_common, load, mean, title
 
 DEAD = 0.05  # a run whose second half is below learned nothing
 THRESHOLD = 0.7
@@ -112,16 +112,6 @@ def reached(name: str = "robust") -> None:
     markdown(head, rows)
 
 
-def eight(name: str = "robust") -> None:
-    """Print eight placed taxels against layout 1, in pairs of one seed."""
-    groups, rows = grouped(name), []
-    for hand, label in HANDS.items():
-        pairs = paired(groups.get(f"ppo_{hand}_eight", []), groups.get(f"ppo_{hand}", []))
-        if len(pairs):
-            rows.append((label, len(pairs), mean(pairs.treatment - pairs.control, "+.2f")))
-    markdown("| PPO, 8 chosen − layout 1 | pairs | mean success over the run |", rows)
-
-
 def scale_of(record: Record) -> str:
     """Return set-up, layout and scale of the taxels of a run."""
     flags = record.run.flags
@@ -176,7 +166,6 @@ def elsewhere(name: str = "elsewhere") -> None:
 
 TABLES = {
     "robust reached": reached,
-    "robust eight": eight,
     "elsewhere": elsewhere,
     "taxel scale ppo": lambda: scales("ppo"),
     "taxel scale ddpg_her": lambda: scales("ddpg_her"),

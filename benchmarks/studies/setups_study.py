@@ -209,6 +209,19 @@ def show_order() -> None:
     markdown(head, rows)
 
 
+def show_between() -> None:
+    """Print how far the paper's layouts are apart, as means over all set-ups."""
+    pairs = [*itertools.combinations(range(len(PAPERS)), 2)]
+    columns = []
+    for begin in (RUN, END):
+        groups = [*in_whole_seeds(begin).values()]
+        gaps = [np.array([one[a] - one[b] for a, b in pairs]) for one in groups]
+        columns.append([estimate(one, "+.3f") for one in over_setups(gaps)])
+    names = [f"{PAPERS[a]} − {PAPERS[b]}" for a, b in pairs]
+    rows = zip(names, *columns, strict=True)
+    markdown("| mean over all set-ups | mean success over the run | last fifth |", rows)
+
+
 def interaction(gains: Sequence[Array]) -> float:
     """Return the p-value of: layouts differ by the same amounts in all set-ups (layouts, seeds).
 
@@ -335,6 +348,7 @@ TABLES = {
     "setups worth": show_worth,
     "setups layouts": show_layouts,
     "setups order": show_order,
+    "setups between": show_between,
     "setups predictors": show_predictors,
     "setups chosen": show_chosen,
     "setups dead": show_dead,

@@ -9,9 +9,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from ..envs import scenes, tasks
+from ..envs import scenes, tasks, vector
 from ..envs.grasp import GraspEnv
 from ..errors import input_errors
+from ..runs.still import note_of_standing_still
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
 from .grasps import require_grasp
@@ -48,6 +49,8 @@ def main(args: list[str]) -> int:
     with input_errors():
         with closing(GraspEnv(read.env, scene)) as env:
             content = _content(read.env, env)
+            player = vector.Workers([vector.LocalPlayer(env)], env)
+            content["notes"] += note_of_standing_still(player.play)
         check = None
         if read.check:
             if tasks.TASKS[scene.task].giver is None:

@@ -59,9 +59,10 @@ class Run:
         )
         if is_gpu:
             batch.require_device()
-            for run, reason in batch.form(files.path, runs)[1]:
+            batches, others = batch.form(files.path.absolute(), runs)
+            for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
-                runs.remove(run)
+            runs = [run for one in batches for run in one.runs]
         jobs.check(files, runs, makes=not is_gpu)
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
@@ -91,9 +92,8 @@ class Run:
                 console.print(text)
 
             if is_gpu:
-                batches, _ = batch.form(
-                    files.path.absolute(), [job.run for job in todo]
-                )
+                names = {job.run.name for job in todo}
+                batches = [left for one in batches if (left := one.of(names)).runs]
                 batch.show(batches)
                 batch.run_all(batches, pool, self.jobs, show)
             else:

@@ -47,7 +47,7 @@ class Row:
     worst_interval: tuple[float, float] | None = None
     """95 %."""
     lost: str | None = None
-    """That loss; None where no loss costs anything, and for random sets."""
+    """Name of that loss; None where no loss costs anything, and for random sets."""
     start_closing: float | None = None
     """Share by which the hand is closed while it waits; None for as the scene has it."""
     chosen_from: float | None = None
@@ -70,7 +70,7 @@ class Use(NamedTuple):
     blind: float
     """Success of the best scripted hand without touch, in the others: the mean over scenes."""
     blind_hand: str
-    """Which one that is, in each scene if they differ."""
+    """Name of that hand, in each scene if they differ."""
     start_closing: float | None
     """Share by which all of these are closed while they wait."""
 
@@ -322,11 +322,14 @@ class Judge:
         """Return success, with its interval, share felt, and success after the worst loss.
 
         Which loss is the worst is found in the starts to choose from: in these, the least of several
-        shares would be too low, and its interval as well.
+        shares would be too low, and its interval as well. A set that was chosen for its worst loss has
+        none there that stands out; for it, the least share is nearer to the truth, and not too high.
         """
         _, wait = self.waits(taxels)
         starts = self._test[wait]
-        _, lost = cover.worst_loss(self._choice[wait], taxels, self._losses)
+        is_for_losses = layout == "chosen" and self._pool.flags.survives
+        found_in = starts if is_for_losses else self._choice[wait]
+        _, lost = cover.worst_loss(found_in, taxels, self._losses)
         left = list(taxels)
         if lost is not None:
             left = cover.without(taxels, self._losses[lost])

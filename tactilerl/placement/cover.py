@@ -181,7 +181,7 @@ def greedy(
 
 def _free(taxels: list[int], overlap: Array) -> Array:
     """Tell which other taxels fit beside these, bool (m,)."""
-    is_taken = overlap[taxels].any(axis=0)
+    is_taken = np.asarray(overlap[taxels].any(axis=0))
     is_taken[taxels] = True
     return np.asarray(~is_taken)
 

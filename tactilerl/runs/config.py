@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from .. import algos, envs
 from ..algos import recipes
@@ -54,14 +54,9 @@ class RunOptions:
     """Also write TensorBoard events (extra: tensorboard)."""
 
 
-T = TypeVar("T")
 PARTS = ("run", "scene", "learner")
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard", "n_test_episodes"}
-# Fields of 0.4.0 that are no more, with the values that mean what this version does.
-GONE = {"critic_sees": "observation", "threads": 1}
-# Names of fields in 0.4.0 -> today's.
-RENAMED = {"normalise_obs": "normalize_obs", "normalise_rewards": "normalize_rewards"}
 LENGTH_COUNTS = (
     " and anneals (--anneal-lr and the like) to zero over that length, so it cannot be extended: "
     "begin a run of the whole length, or one without annealing"
@@ -91,11 +86,7 @@ class RunConfig:
         return {name: part for name, part in parts.items() if part is not None}
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
-        """Return a copy with other values of some fields; ValueError naming what is wrong with them.
-
-        The fields may have their names of 0.4.0.
-        """
-        choices = _renamed(choices)
+        """Return a copy with other values of some fields; ValueError naming what is wrong with them."""
         require_known(choices, {k for part in self.parts.values() for k in vars(part)})
         chosen = {}
         for name, part in self.parts.items():
@@ -140,7 +131,7 @@ class RunConfig:
             )
         env = self.run.env
         if self.hand:
-            if self.folder and (self.folder / HAND_COPY).is_file():  # not in 0.4.0
+            if self.folder and (self.folder / HAND_COPY).is_file():
                 env = str(self.folder / HAND_COPY)
             with input_errors(f"{self.folder}: the hand of this run cannot be read"):
                 digest = hands.digest(env)
@@ -199,35 +190,13 @@ class RunConfig:
         """Return the first field in which `other`, an identity, is another run; None if none."""
         mine = self.identity()
         for name, part in self.parts.items():
-            theirs = _completed(type(part), other.get(name) or {})
+            usual = json.loads(json.dumps(dataclasses.asdict(type(part)())))
+            theirs = usual | (other.get(name) or {})
             for key, value in mine[name].items():
                 if theirs[key] != value:
                     why = LENGTH_COUNTS if key == "total_timesteps" else ""
                     return f"{key}: found {theirs[key]!r}, the run was made with {value!r}{why}"
         return None
-
-
-def _completed(kind: type, saved: dict[str, Any]) -> dict[str, Any]:
-    """Return all fields of a dataclass from those that a file of 0.4.0 or later has.
-
-    A field that the file lacks gets its default, which means what that version did; a field that only
-    the file has is left out.
-    """
-    usual = json.loads(json.dumps(dataclasses.asdict(kind())))
-    known = {k: v for k, v in saved.items() if k not in GONE or v != GONE[k]}
-    return {**usual, **_renamed(known)}
-
-
-def _renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
-    """Return choices by today's names of fields, from those of 0.4.0 or today's."""
-    return {RENAMED.get(name, name): value for name, value in choices.items()}
-
-
-def from_saved(kind: type[T], saved: Any, where: str) -> T:
-    """Return a dataclass that a file of 0.4.0 or later has; ValueError when it is not one."""
-    if isinstance(saved, dict):
-        saved = _completed(kind, saved)
-    return validation.fill(kind, saved, where)
 
 
 def defaults(
@@ -281,12 +250,12 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
 def from_dict(data: dict[str, Any]) -> RunConfig:
     """Return the configuration that `as_dict` made a dict of; InputError when it is not one."""
     try:
-        run = from_saved(RunOptions, data["run"], "run")
+        run = validation.fill(RunOptions, data["run"], "run")
         config_type, _ = algos.get(run.algo)
         scene = None
         if data["scene"] is not None:
-            scene = from_saved(GraspConfig, data["scene"], "scene")
-        learner = from_saved(config_type, data["learner"], "learner")
+            scene = validation.fill(GraspConfig, data["scene"], "scene")
+        learner = validation.fill(config_type, data["learner"], "learner")
         config = RunConfig(run, scene, learner)
         config.validate()
         return config

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .. import algos
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, Spaces
+from ..envs import validation
 from ..files import damage_named
-from .config import RunConfig, from_saved
+from .config import RunConfig
 from .store import RunDir, read_tensors, write_tensors
 
 if TYPE_CHECKING:
@@ -48,13 +49,15 @@ def load_policy(path: str | Path) -> Policy:
     observation, or for a batch of observations. Files of others are safe to load: only tensors and
     plain values are read. Raises ValueError, one line, when there is no policy or its file is damaged.
     """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"path: found {path!r}, allowed a run folder or a file")
     path = Path(path)
     if path.is_dir():
         return read_run(path).policy
     data = _read(path)
     with damage_named(path):
         config_type, learner_type = algos.get(data["algo"])
-        config = from_saved(config_type, json.loads(data["learner"]), "learner")
+        config = validation.fill(config_type, json.loads(data["learner"]), "learner")
         config.validate()
         spaces = Spaces.from_json(data["spaces"])
         policy: Policy = learner_type.saved_policy(config, spaces, data["state"])

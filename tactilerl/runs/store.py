@@ -28,11 +28,13 @@ from .. import machine
 from ..algos import recipes
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
+from ..algos.rollout import FAULTS
 from ..envs import hands, layouts, plugins, validation
 from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import (
     LEFTOVER,
+    MAX_RECORD,
     as_json,
     damage_named,
     make_folder,
@@ -60,7 +62,12 @@ PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": d
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 FIRST_COLUMNS = ["epoch", "env_steps"]  # the columns that every table begins with
 RATE_SUFFIX = "success_rate"  # ends the names of columns that are shares
-FINITE = -sys.float_info.max, sys.float_info.max
+# Endings of columns, and what these may hold besides nan.
+LIMITS = {
+    RATE_SUFFIX: (0.0, 1.0),
+    (*FAULTS, "_s"): (0.0, 1e15),  # counts and seconds, which are added up
+    "": (-sys.float_info.max, sys.float_info.max),
+}
 Row = dict[str, str]
 
 
@@ -85,9 +92,14 @@ class ConfigFile(TypedDict):
 
 
 def write_tensors(path: Path, content: Values) -> None:
-    """Write tensors and plain values, whole or not at all."""
+    """Write tensors and plain values, whole or not at all; OSError where the disk is full."""
     with replacing(path) as file:
-        torch.save(content, file)
+        try:
+            torch.save(content, file)
+        except RuntimeError as error:  # what PyTorch makes of a full disk
+            if isinstance(error.__context__, OSError):
+                raise error.__context__ from None
+            raise
 
 
 def read_tensors(
@@ -101,8 +113,11 @@ def read_tensors(
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):
+            entries = archive.infolist()
+            if any(entry.compress_type for entry in entries):
                 raise ValueError("it is compressed, as torch.save does not write it")
+            if sum(entry.file_size for entry in entries) > file.seek(0, os.SEEK_END):
+                raise ValueError("its entries overlap")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
@@ -160,18 +175,16 @@ class RunDir:
         ranks: int,
         epoch: int = 0,
         env_steps: int = 0,
-        batch: Values | None = None,
+        origin: Values | None = None,
     ) -> None:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
-        `batch` says of how many runs it is one, in how many worlds, on which device. A run that goes
-        on after `epoch` with other versions keeps the record of those before.
+        `origin` says the latter where it is more than versions, such as a batch of runs. A run that
+        goes on after `epoch` with other versions keeps the record of those before.
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
-        now: Values = {**machine.origin(epoch, env_steps)}
-        if batch is not None:
-            now["batch"] = batch
+        now: Values = origin or {**machine.origin(epoch, env_steps)}
         same = {name: now[name] for name in now if name not in ("epoch", "env_steps")}
         if not origins or not origins[-1].items() >= same.items():
             origins.append(now)
@@ -196,7 +209,7 @@ class RunDir:
                 config = from_dict({name: data[name] for name in PARTS})
             except InputError as error:
                 version = data["provenance"][-1]["versions"].get("tactilerl")
-                made = f"made by version {version}; this one reads runs of 0.4.0 on"
+                made = f"made by version {version}; this one reads runs of 0.5.0 on"
                 raise InputError(f"{error} ({made})") from error
         hand = str(data.get("hand", ""))
         return dataclasses.replace(config, folder=self.path, hand=hand)
@@ -205,17 +218,24 @@ class RunDir:
         """Return what config.json holds; InputError when damaged."""
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(json.loads(read_whole(self.config_file)))
+            return as_record(json.loads(read_whole(self.config_file, MAX_RECORD)))
 
     # -- progress.csv ------------------------------------------------------------------------
 
     def append(self, *rows: dict[str, Any]) -> None:
         """Add rows to the table, on disk; the first row decides the columns."""
+        if not rows:
+            return
         with open(
             self.table, "a+", newline="", encoding="utf-8", opener=no_link
         ) as file:
             file.seek(0)
             columns = next(csv.reader(file), None)
+            if unknown := set(columns or ()) - rows[0].keys():
+                raise InputError(
+                    f"{self.table}: found the columns {', '.join(sorted(unknown))}, which this run "
+                    "does not write; put back the header that belongs to it"
+                )
             writer = csv.DictWriter(
                 file,
                 columns or list(rows[0]),
@@ -233,7 +253,7 @@ class RunDir:
         if not self.table.exists():
             return []
         with damage_named(self.table):
-            rows, problem = parse(read_whole(self.table).decode("utf-8"))
+            rows, problem = parse(read_whole(self.table, MAX_RECORD).decode("utf-8"))
             if problem:
                 raise ValueError(problem)
         return rows
@@ -300,7 +320,7 @@ def as_record(data: Any) -> Values:
     """Return the values of a config.json; ValueError where they are something else."""
     require_type(data, Values, "record")
     if data.get("format") != FORMAT:
-        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.4.0 on")
+        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
     require_type(data, ConfigFile, "record")
     return dict(data)
 
@@ -327,7 +347,7 @@ def parse(text: str) -> tuple[list[Row], str]:
                 raise ValueError(f"its epochs or steps do not follow: {now}, {before}")
             before = now
             for column, field in row.items():
-                low, high = (0.0, 1.0) if column.endswith(RATE_SUFFIX) else FINITE
+                low, high = next(x for end, x in LIMITS.items() if column.endswith(end))
                 if not (low <= (value := float(field or 0)) <= high or value != value):
                     raise ValueError(f"{column}: found {field[:50]}")
             rows.append(row)

@@ -26,6 +26,7 @@ from ..terminal.console import paragraph
 from ..terminal.epochs import EpochLog, require_tensorboard
 from . import evaluation
 from .config import FINAL_TEST, RunConfig, RunOptions
+from .still import note_of_standing_still
 from .store import Checkpoint, RunDir
 
 Row = dict[str, Any]
@@ -105,6 +106,9 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 notes.append(paragraph("resumed", done))
             else:
                 checkpoint.save(0)
+                if config.scene and comm.rank == 0:
+                    for note in note_of_standing_still(workers.play):
+                        notes.append(paragraph("warning", note))
             if learner.env_steps >= learner.total_timesteps:
                 notes.append("  nothing to do; raise --total-timesteps")
             with EpochLog(learner, comm, events) as log:

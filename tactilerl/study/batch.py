@@ -9,15 +9,17 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import signal
 import sys
 import threading
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +28,10 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
-from .. import algos
+from .. import algos, machine
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
+from ..algos.policy import flat_size
 from ..envs import layouts, tasks
 from ..envs.batch import BY_GROUP, BatchEnv, require_batched
 from ..errors import BUSY, InputError, extra, input_errors
@@ -42,8 +45,10 @@ from .grid import Run
 from .records import StudyFiles
 
 DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
+PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: their number, if not three
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
+GRACE = 10.0  # s; then whoever is told to end goes without the epoch that it is in
 SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
 WORLD_BYTES = 300_000  # of physics: contacts, constraints and what they are solved with
@@ -60,8 +65,9 @@ def require_device() -> None:
     if device() == "loop":
         return
     with extra("gpu"):
-        import mujoco_warp  # noqa: F401
-        import warp  # noqa: F401
+        for name in ("mujoco_warp", "warp"):
+            if find_spec(name) is None:
+                raise ModuleNotFoundError(f"No module named '{name}'", name=name)
     if not torch.cuda.is_available():
         raise InputError(
             f"--on gpu: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
@@ -93,6 +99,11 @@ class Batch(jobs.Job):
             str(self.side_by_side),
         ]
 
+    def of(self, names: set[str]) -> Batch:
+        """Return the part of it that has these runs."""
+        left = tuple(run for run in self.runs if run.name in names)
+        return replace(self, run=left[0] if left else self.run, runs=left)
+
     @cached_property
     def configs(self) -> list[RunConfig]:
         """The runs' configurations."""
@@ -108,9 +119,8 @@ class Batch(jobs.Job):
         """About the memory that it takes on the device, in bytes."""
         config = self.configs[0]
         scene: Any = config.scene
-        env = BatchEnv(config.run.env, [(scene, 1)], "loop")
-        spaces = env.single_observation_space
-        width = sum(math.prod(space.shape) for space in spaces.values())
+        with closing(config.make_env()) as env:
+            width = flat_size(env.observation_space)
         sizes = [width, *config.learner.hidden, 1]
         weights = sum(a * b for a, b in itertools.pairwise(sizes))
         steps = scene.max_episode_steps or tasks.TASKS[scene.task].max_episode_steps
@@ -180,9 +190,9 @@ def _common(config: RunConfig) -> Any:
 def show(batches: Sequence[Batch]) -> None:
     """Print what is trained together, and what memory it takes."""
     for batch in batches:
-        n = len(batch.runs)
+        n, gigabytes = len(batch.runs), batch.nbytes / 1e9
         console.print(
-            f"batch {batch.name}: {n} runs, {n * batch.worlds:,} worlds, about {batch.nbytes / 1e9:.1f} GB"
+            f"batch {batch.name}: {n} runs, {n * batch.worlds:,} worlds, about {gigabytes:.1f} GB"
         )
     if device() == "loop" or not batches:
         return
@@ -202,19 +212,21 @@ def show(batches: Sequence[Batch]) -> None:
 def run_all(
     batches: Sequence[Batch], pool: Executor, side_by_side: int | None, on_end: Any
 ) -> None:
-    """Make the runs of all batches done, in one process; `on_end` is told each run and how it ended.
+    """Make the runs of all batches done; `on_end` is told each run and how it ended.
 
-    A GPU takes turns between processes; between threads of one it does not.
+    Threads of a process take turns in Python, and processes on the GPU: so there are some of each.
     """
-    if not batches:
-        return
-    runs = tuple(run for batch in batches for run in batch.runs)
     n = side_by_side or executors.SIDE_BY_SIDE
-    together = replace(batches[0], runs=runs, side_by_side=n)
-    for run, ending in zip(
-        runs, pool.submit(_make_done, together).result(), strict=True
-    ):
-        on_end(replace(together, run=run), ending)
+    n_processes = min(n, int(os.environ.get(PROCESSES, 3)))
+    parts, futures = list[Batch](), list[Future[list[jobs.Ending]]]()
+    for k in range(min(n_processes, len(batches))):
+        runs = [run for batch in batches[k::n_processes] for run in batch.runs]
+        part = replace(batches[k], runs=(*runs,), side_by_side=-(-n // n_processes))
+        parts.append(part)
+        futures.append(pool.submit(_make_done, part))
+    for part, future in zip(parts, futures, strict=True):
+        for run, ending in zip(part.runs, future.result(), strict=True):
+            on_end(replace(part, run=run), ending)
 
 
 def _make_done(batch: Batch) -> list[jobs.Ending]:
@@ -271,6 +283,9 @@ class _Seat:
     def compute_reward(self, achieved_goal: Any, desired_goal: Any) -> Any:
         return np.asarray(self._reward(achieved_goal, desired_goal))
 
+    def compute_terminated(self, achieved_goal: Any, desired_goal: Any) -> None:
+        """Say nothing: no task of ours does."""
+
 
 class _Training:
     """The runs of a batch, their files, and the batch that learns."""
@@ -299,14 +314,15 @@ class _Training:
             Checkpoint(d, c, one, Communicator()) for d, c, one in pairs
         ]
         self.epochs = [training.begun(checkpoint) for checkpoint in self.checkpoints]
+        where = torch.cuda.get_device_name() if where != "loop" else where
         about = {"runs": len(configs), "worlds": env.num_envs, "device": where}
-        if where != "loop":
-            about["device"] = torch.cuda.get_device_name()
+        origin = {**machine.origin(), "batch": about}
         for run_dir, config, one, epoch in zip(
             self.run_dirs, configs, singles, self.epochs, strict=True
         ):
             run_dir.cut(epoch, most=None)
-            run_dir.write_config(config, 1, epoch, one.env_steps, about)
+            now = {**origin, "epoch": epoch, "env_steps": one.env_steps}
+            run_dir.write_config(config, 1, origin=now)
         self.learner = learners.BATCHED[type(singles[0])](singles, env)
         self.rows: list[list[training.Row]] = [[] for _ in singles]
         self.saved = self.shown = self.begin = time.monotonic()
@@ -316,6 +332,8 @@ class _Training:
         for checkpoint, epoch in zip(self.checkpoints, self.epochs, strict=True):
             if not epoch:
                 checkpoint.save(0)
+        if device() != "loop":
+            torch.cuda.synchronize()  # what was built is ready for other streams
 
     def _single(self, config: RunConfig, group: int) -> Any:
         run = config.run
@@ -323,18 +341,27 @@ class _Training:
         options = Communicator(), run.seed, run.total_timesteps
         return algorithm(config.learner, _Seat(self.env, group), *options)
 
-    def train_on_a_stream(self, stop: threading.Event) -> None:
-        """Train as `train` does, beside other threads."""
-        if device() == "loop":
-            return self.train(stop)
-        with torch.cuda.stream(torch.cuda.Stream()):  # type: ignore[no-untyped-call]
-            return self.train(stop)
+    def train_in_thread(self, free: threading.Semaphore, stop: threading.Event) -> None:
+        """Train on a stream of its own; release `free` then, and stop all others on errors."""
+        stream = torch.cuda.Stream() if device() != "loop" else None  # type: ignore[no-untyped-call]
+        try:
+            with torch.cuda.stream(stream):
+                self.train(stop)
+        except BaseException:
+            stop.set()
+            raise
+        finally:
+            free.release()
 
     def train(self, stop: threading.Event) -> None:
         """Train until all runs have their steps, or have failed; or until it is told to stop."""
         while any(self.learner.active):
             self.epoch(stop)
-            if stop.is_set():
+            if (
+                stop.is_set()
+            ):  # in the middle of an epoch, which a checkpoint would not be
+                for run_dir, rows in zip(self.run_dirs, self.rows, strict=True):
+                    run_dir.append(*rows)
                 return
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
@@ -345,7 +372,8 @@ class _Training:
         """Play one epoch of each active run and learn from it, as `training` does with one."""
         learner, begin = self.learner, time.perf_counter()
         before = [one.env_steps for one in learner.learners]
-        collected, learned = ([[] for _ in before] for _ in range(2))
+        collected: list[list[training.Row]] = [[] for _ in before]
+        learned: list[list[training.Row]] = [[] for _ in before]
         collect_s = update_s = 0.0
         for _ in range(learner.cycles_per_epoch):
             if stop.is_set() or not any(active := learner.active):
@@ -414,7 +442,8 @@ class _Training:
         rates = ", ".join(
             f"{name} {np.mean(values):.0%}" for name, values in groups.items()
         )
-        text = f"[{self.batch.name}] {len(ones)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
+        text = f"[{self.batch.name}] {len(ones)} runs, steps {steps:,}/{total:,}, "
+        text += f"{speed:,.0f} steps/s, "
         text += (
             f"success: {rates or 'not known yet'}, "
             if not is_last
@@ -437,30 +466,26 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     batches, others = form(files.path, runs)
     for run, reason in others:
         raise InputError(f"run {run.name}: {reason}")
-    has_failed = False
-    for first in range(0, len(batches), side_by_side):
-        with ExitStack() as held:
-            some = batches[first : first + side_by_side]
-            trainings = [_Training(batch, files, held) for batch in some]
-            stop = threading.Event()
-            if len(trainings) == 1:
-                trainings[0].train(stop)
-            else:
-                _train_in_threads(trainings, stop)
-            has_failed |= any(one.learner.failures for one in trainings)
-    return int(has_failed)
-
-
-def _train_in_threads(trainings: Sequence[_Training], stop: threading.Event) -> None:
-    """Train several batches at once; the first error ends all."""
-    before = sys.getswitchinterval()
+    before, trainings, futures = (
+        sys.getswitchinterval(),
+        list[_Training](),
+        list[Future[None]](),
+    )
+    free, stop = threading.Semaphore(side_by_side), threading.Event()
     sys.setswitchinterval(SWITCH_EVERY)
-    if device() != "loop":
-        torch.cuda.synchronize()
+    if threading.current_thread() is threading.main_thread():  # to end in order
+        signal.signal(signal.SIGTERM, partial(_end_soon, stop))
     try:
-        with ThreadPoolExecutor(len(trainings)) as pool:
-            futures = [pool.submit(one.train_on_a_stream, stop) for one in trainings]
+        with ExitStack() as held, ThreadPoolExecutor(side_by_side) as pool:
             try:
+                for batch in batches:  # others train while the next is built
+                    free.acquire()
+                    if stop.is_set():
+                        break
+                    trainings.append(_Training(batch, files, held))
+                    futures.append(
+                        pool.submit(trainings[-1].train_in_thread, free, stop)
+                    )
                 for future in as_completed(futures):
                     future.result()
             except BaseException:
@@ -468,6 +493,17 @@ def _train_in_threads(trainings: Sequence[_Training], stop: threading.Event) -> 
                 raise
     finally:
         sys.setswitchinterval(before)
+    return int(any(one.learner.failures for one in trainings))
+
+
+def _end_soon(stop: threading.Event, *_: Any) -> None:
+    """End in order, or at the last saved checkpoints where that takes too long."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    timer = threading.Timer(GRACE, os._exit, [jobs.INTERRUPTED[0]])
+    timer.daemon = True
+    timer.start()
+    stop.set()
+    raise KeyboardInterrupt
 
 
 def _label(config: RunConfig) -> str:

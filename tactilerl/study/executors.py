@@ -46,7 +46,8 @@ def start(
     if on == "gpu" and ranks > 1:
         raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
     if on in ("local", "gpu"):
-        n = 1 if on == "gpu" else jobs or max(1, free_cores() // ranks)
+        usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
+        n = jobs or usual
         with threads(n) as pool:
             yield pool
         return

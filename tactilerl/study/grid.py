@@ -32,6 +32,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -95,6 +96,10 @@ class Run:
 
         A module that it names is imported by nobody but the user, with `--import`.
         """
+        return self._config
+
+    @cached_property
+    def _config(self) -> RunConfig:
         flags = dict(self.flags)
         for name in _as_list(flags.pop(IMPORT, [])):
             if name not in plugins.imported:

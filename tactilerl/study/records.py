@@ -29,6 +29,7 @@ import numpy as np
 from ..errors import InputError
 from ..files import (
     LEFTOVER,
+    MAX_RECORD,
     as_json,
     damage_named,
     read_whole,
@@ -41,6 +42,7 @@ from .grid import Run, Study, from_dict
 
 State = Literal["done", "running", "failed", "interrupted", "left"]
 STATES: tuple[State, ...] = get_args(State)
+MAX_UNPACKED = 2 * 10**8  # bytes of all files in a packed one
 STUDY, RUNS, PACKED = "study.json", "runs", "collected.tar.gz"
 T = TypeVar("T")
 
@@ -104,7 +106,7 @@ class StudyFiles:
     def read(self, name: str) -> bytes:
         """Return a file's content; raise FileNotFoundError where there is none."""
         if self._packed is None:
-            return read_whole(self.path / name)
+            return read_whole(self.path / name, MAX_RECORD)
         if name not in self._packed:
             raise FileNotFoundError(name)
         return self._packed[name]
@@ -141,6 +143,8 @@ class StudyFiles:
         is_begun = bool(config or problems)
         table, nothing = f"{name}/progress.csv", (list[Row](), "")
         rows, cut = parsed(table, lambda data: parse(data.decode()), nothing)
+        if rows and run.measure not in rows[0]:
+            problems.append(f"{table}: found no column {run.measure}")
         failure = parsed(
             f"{name}.json", lambda data: str(json.loads(data)["reason"]), ""
         )
@@ -148,7 +152,7 @@ class StudyFiles:
         planned = run.flags.get("total_timesteps", planned)
         steps = int(rows[-1]["env_steps"]) if config and rows else -math.inf
         if isinstance(planned, int | float) and steps >= planned:
-            return Record(run, "done", "", config, rows)
+            return Record(run, "done", next(iter(problems), ""), config, rows)
         state: State = "interrupted" if is_begun else "left"
         if self._packed is None and self.is_running(run):
             state = "running"
@@ -234,10 +238,15 @@ def collect(path: Path, out: Path | None = None) -> Path:
 
 def _unpacked(path: Path) -> dict[str, bytes]:
     """Return the files in a packed file, by name; they are never written by that name."""
-    with damage_named(path, "not a collected study of 0.4.0 or later"):
-        data, files = read_whole(path, is_packed=True), {}
+    with damage_named(path, "not a collected study of this version"):
+        data, files = read_whole(path, MAX_UNPACKED, is_packed=True), {}
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
+                if not 0 <= entry.size <= MAX_RECORD:  # below 0 it would never end
+                    allowed = f"allowed 0 to {MAX_RECORD:,}"
+                    raise ValueError(
+                        f"{entry.name}: found {entry.size:,} bytes, {allowed}"
+                    )
                 if entry.type == tarfile.REGTYPE and not entry.issparse():
                     file = archive.extractfile(entry)
                     files[entry.name] = file.read() if file else b""

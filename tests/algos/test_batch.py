@@ -189,7 +189,8 @@ PPO_CONFIG = replace(
     target_kl=0.02,
 )
 HER_CONFIG = replace(
-    recipe("ddpg_her", "robust"), **SMALL, n_batches=6, batch_size=32, target_update_interval=4, n_cycles=2,
+    recipe("ddpg_her", "robust"), **SMALL, n_batches=6, batch_size=32,
+    target_update_interval=4, n_cycles=2,
     n_test_rollouts=2, random_hold=3.0,
 )  # fmt: skip
 

@@ -13,7 +13,16 @@ import torch
 from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy, Spaces
-from tactilerl.algos.ppo import PPO, PPOConfig, Silence, gae, normalize, surrogate
+from tactilerl.algos.ppo import (
+    PPO,
+    Gaussian,
+    PPOConfig,
+    Silence,
+    explained_variance,
+    gae,
+    normalize,
+    surrogate,
+)
 from tactilerl.envs import vector
 
 from states import flat
@@ -105,7 +114,7 @@ class TestBatch:
     def test_returns_and_normalized_advantages(self):
         ppo = make_ppo(scripted(length=7))
         ppo.collect()
-        obs, actions, old, advantages, returns = ppo._batch()
+        obs, actions, old, advantages, returns, _ = ppo._batch()
         assert len(obs) == len(actions) == len(old) == len(advantages) == len(returns) == 63
         assert advantages.mean().item() == pytest.approx(0.0, abs=1e-6)
         assert advantages.std(unbiased=False).item() == pytest.approx(1.0, abs=1e-5)
@@ -189,7 +198,7 @@ class TestLearning:
         plain PyTorch implementation."""
         ppo = make_ppo(scripted(), n_passes=2, n_minibatches=1, max_grad_norm=0.05)
         ppo.collect()
-        obs, actions, old, advantages, returns = ppo._batch()
+        obs, actions, old, advantages, returns, _ = ppo._batch()
         twins = actor, critic = copy.deepcopy((ppo.actor, ppo.critic))
         adams = [torch.optim.Adam(net.parameters(), lr) for net, lr in ((actor, 3e-4), (critic, 1e-3))]
         for _ in range(2):
@@ -222,7 +231,7 @@ class TestLearning:
         def log_std(**choices):
             ppo = make_ppo(scripted(), n_passes=1, n_minibatches=1, **choices)
             ppo.collect()
-            obs, actions, old, advantages, _ = ppo._batch()
+            obs, actions, old, advantages, *_ = ppo._batch()
             log = torch.zeros(actions.shape[1], requires_grad=True)
             std = math.sqrt(0.05) * log.exp()
             density = torch.distributions.Normal(ppo.actor(obs).detach(), std).log_prob(actions)
@@ -271,6 +280,14 @@ class TestLearning:
         np.testing.assert_allclose(noise, residual, atol=1e-5)
         log_prob = torch.distributions.Normal(0.0, 1.0).log_prob(noise) - std.log()
         torch.testing.assert_close(log_prob.sum(-1), old[: len(noise)], atol=1e-4, rtol=1e-4)
+
+    def test_entropy_and_explained_variance_by_hand(self):
+        normal = torch.distributions.Normal(0.0, 0.5)
+        assert Gaussian(3, 0.25).entropy() == pytest.approx(3 * normal.entropy().item())
+        returns = torch.tensor([0.0, 2.0, 4.0, 6.0])  # variance 5
+        assert explained_variance(returns + 7.0, returns) == 1.0
+        assert explained_variance(torch.tensor([1.0, 1.0, 5.0, 5.0]), returns) == pytest.approx(0.8)
+        assert explained_variance(returns, torch.ones(4)) == 0.0
 
     def test_target_kl_ends_the_passes(self):
         ppo = make_ppo(scripted(), n_passes=50, target_kl=1e-6)

@@ -258,6 +258,7 @@ class TestBadInput:
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere", "--episodes", "0"], ["episodes: found 0"]),
+            (["render", "a", "b", "c"], ["render: found 3 runs, allowed one, or two side by side"]),
             (["render", "none", "--video", "x.gif"], ["--video: found 'x.gif'", ".mp4"]),
             (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),

@@ -76,3 +76,16 @@ class TestEvaluateWithOtherSensors:
         main(["train", *PPO, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
         fails_with(capsys, ["evaluate", "run", "--taxel-dead", "0.1"], "which has no hand")
         assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0
+
+
+def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path):
+    """Before training, and by `env`."""
+    low = ["--env", "mpl", "--layout", "5", "--task", "reach-goal", "--goal-range", "0.01"]
+    words = "a hand that stands still reaches the goal in 4 of 4 episodes"
+    for height, tolerance, is_said in ((0.02, 0.03, True), (0.08, 0.03, False)):
+        goal = [*low, "--goal-height", height, "--goal-tolerance", tolerance]
+        assert (words in printed(capsys, ["env", *goal])) == is_said
+        train = ["train", "--algo", "ddpg_her", *goal, "--total-timesteps", 1, "--n-cycles", 1]
+        train += ["--hidden", 8, "--n-batches", 1, "--n-test-rollouts", 0, "--buffer-size", 1000]
+        told = printed(capsys, [*train, "--workers", 1, "--out", tmp_path / str(is_said)])
+        assert (words in " ".join(told.split())) == is_said

@@ -162,5 +162,5 @@ def test_the_map_of_a_hand_lights_the_taxels_that_fire(hand):
     dark = drawn.picture(np.zeros(len(taxels), bool))
     assert not (dark == LIT).all(axis=-1).any()
     changed = [(drawn.picture(one) != dark).any(axis=-1) for one in np.eye(len(taxels), dtype=bool)]
-    assert all(places.any() for places in changed)  # every taxel is seen, in a place of its own
-    assert (np.sum(changed, axis=0) <= 1).all()
+    alone = np.sum(changed, axis=0) == 1  # neighbours may overlap: they have their true size
+    assert all((places & alone).any() for places in changed)  # every taxel is seen

@@ -133,6 +133,13 @@ class TestCheckpoint:
         fails_with(capsys, RESUME, "checkpoint.pt", words)
         assert not Path("hacked").exists()
 
+    def test_entries_that_overlap(self, ppo, capsys):
+        """A bomb too: each of a thousand is all of the file."""
+        with zipfile.ZipFile(CHECKPOINT, "a") as archive:
+            archive.filelist += 1000 * archive.filelist
+            archive._didModify = True
+        fails_with(capsys, RESUME, "checkpoint.pt: damaged", "entries overlap")
+
     @pytest.mark.parametrize("algo", ["ppo", "her"])
     def test_missing_checkpoint_of_a_run_with_progress(self, made, capsys, algo):
         shutil.copytree(made / algo, "run")
@@ -144,12 +151,21 @@ class TestCheckpoint:
         assert TABLE.read_bytes() == before
 
 
+def with_field(rows, column, value):
+    """A table whose last row has another value in one column."""
+    fields = rows[-1].split(b",")
+    fields[rows[0].split(b",").index(column)] = value
+    return b"".join([*rows[:-1], b",".join(fields)])
+
+
 class TestProgress:
     @pytest.mark.parametrize(
         ("damage", "words"),
         [
             (lambda rows: b"", "found epochs up to 0, the checkpoint's is 3"),
             (lambda rows: b"".join(rows)[:-9], "found epochs up to 2"),
+            (lambda rows: with_field(rows, b"diverged", b"1e308"), "diverged: found 1e308"),
+            (lambda rows: with_field(rows, b"collect_s", b"-1"), "collect_s: found -1"),
             (lambda rows: b"a,b,c\n" + b"".join(rows[1:]), "header"),
             (lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]), "utf-8"),
             (lambda rows: b"".join([*rows[:-1], b"9" * 200_000, rows[-1]]), "field larger"),
@@ -166,6 +182,12 @@ class TestProgress:
         fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv", words)
         assert TABLE.read_bytes() == bad
         assert (CHECKPOINT.read_bytes(), CONFIG.read_bytes()) == before
+
+    def test_a_letter_that_flipped_in_the_header_loses_no_values(self, ppo, capsys):
+        bad = TABLE.read_bytes().replace(b"mean_return", b"mean_returo")
+        TABLE.write_bytes(bad)
+        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "found the columns mean_returo")
+        assert TABLE.read_bytes() == bad
 
 
 class TestWriting:
@@ -281,7 +303,7 @@ class TestConfig:
             (None, "ranks", float("inf"), "ranks: found inf"),
             (None, "scene", [], "scene: found"),
             (None, "provenance", [{"epoch": 0}], "provenance"),
-            (None, "format", 2, "this version reads runs of 0.4.0 on"),
+            (None, "format", 2, "this version reads runs of 0.5.0 on"),
         ],
     )
     def test_another_type_in_any_field(self, ppo, capsys, part, name, value, words):
@@ -291,17 +313,12 @@ class TestConfig:
         fails_with(capsys, ["evaluate", "run"], "config.json", words)
         fails_with(capsys, RESUME, "config.json", words)
 
-    def test_a_run_of_an_older_version_is_named_and_one_of_0_4_is_read(self, ppo, capsys):
+    def test_a_run_of_an_older_version_is_named(self, ppo, capsys):
         data = json.loads(CONFIG.read_text())
-        for version, name, code in (("0.4.0", "critic_sees", 0), ("0.3.0", "run_type", 2)):
-            data["provenance"][0]["versions"]["tactilerl"] = version
-            data["learner"] |= {name: "observation"}
-            del data["learner"]["target_kl"]
-            CONFIG.write_text(json.dumps(data))
-            data["learner"]["target_kl"] = None
-            if code:
-                fails_with(capsys, RESUME, "made by version 0.3.0; this one reads runs of 0.4.0")
-            assert main(RESUME) == code
+        data["provenance"][0]["versions"]["tactilerl"] = "0.4.0"
+        data["learner"] |= {"critic_sees": "observation"}
+        CONFIG.write_text(json.dumps(data))
+        fails_with(capsys, RESUME, "made by version 0.4.0; this one reads runs of 0.5.0")
 
     @pytest.mark.parametrize("text", ["", "[" * 200_000, "9" * 5000, "{}", "[]", "\0", "\ufeff{}"])
     def test_what_is_no_configuration(self, ppo, capsys, text):
@@ -360,3 +377,17 @@ class TestTerminal:
             "tactilerl: interrupted; the last checkpoint is kept: --resume new --import cut\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_full_disk_is_an_error_of_the_disk(tmp_path):
+    code = """if True:
+        import pathlib, resource, torch
+        from tactilerl.runs import store
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        try:
+            store.write_tensors(pathlib.Path("x.pt"), {"x": torch.zeros(10**6)})
+        except OSError as error:
+            print(error.strerror, *pathlib.Path().iterdir())
+    """
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert ended.stdout == "File too large\n", ended.stderr

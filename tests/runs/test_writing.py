@@ -31,7 +31,7 @@ def here(made, in_tmp):
         shutil.copytree(made / name, name)
 
 
-DESIGN = ["design", "--scene", "handover", "--taxels", "1", "--skin", "20mm", "--beside", "2"]
+DESIGN = ["design", "--scene", "handover_anywhere", "--taxels", "1", "--skin", "20mm", "--beside", "2"]
 DESIGN += ["--starts", "2", "--test-starts", "2", "--workers", "1"]
 # What it writes, and how; a folder's first file says whose the folder is.
 WRITERS = {

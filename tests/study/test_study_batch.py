@@ -49,12 +49,13 @@ grid = {seed = 0}
 @pytest.fixture
 def in_a_loop(monkeypatch, trained_here):
     monkeypatch.setenv(batch.DEVICE, "loop")
+    monkeypatch.setenv(batch.PROCESSES, "1")  # they share one output
     monkeypatch.setattr(batch, "SPARE", 0.5)
 
 
 def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, capsys, monkeypatch):
     out, study = tmp_path / "out", write(tmp_path, STUDY)
-    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "1"]
+    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "2"]
     assert main(args) == 0
     said = capsys.readouterr().out
     assert "not on a GPU: bullet_s0: simulator: found 'pybullet'" in said

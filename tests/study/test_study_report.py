@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sys
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,8 @@ class TestWarnings:
         folder = make_study(tmp_path / "s", n_seeds=1)
         for file in folder.path.rglob("progress.csv"):
             file.write_text(file.read_text().replace("test_success_rate", "another"))
+        _, all_records = records.load(folder.path)
+        assert "found no column test_success_rate" in all_records[-1].reason
         assert "mujoco: no finished run with a test_success_rate" in reported(capsys, folder.path)
 
     def test_what_is_no_study(self, folder, tmp_path, capsys):
@@ -191,7 +194,16 @@ class TestWarnings:
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
         old = tmp_path / "old.tar.gz"  # of 0.3.0
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
-        fails_with(capsys, ["study", "status", old], "not a collected study of 0.4.0")
+        fails_with(capsys, ["study", "status", old], "not a collected study")
+
+    @pytest.mark.parametrize("size", [-512, 30_000_001])
+    def test_collected_files_that_have_no_end(self, tmp_path, capsys, size):
+        """Small ones, which would be read forever or fill the memory."""
+        entry = tarfile.TarInfo("study.json")
+        entry.size = size
+        packed = tmp_path / "c.tar.gz"
+        packed.write_bytes(gzip.compress(entry.tobuf(tarfile.GNU_FORMAT) + bytes(max(size, 512))))
+        fails_with(capsys, ["study", "report", packed], f"study.json: found {size:,} bytes")
 
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):

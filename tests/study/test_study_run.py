@@ -233,7 +233,8 @@ def test_how_long_all_runs_take_is_said_from_their_tables(tmp_path, capsys, monk
         interrupt(folder, runs[0], rows)
         look(runs)
         said = capsys.readouterr().err
-        assert said.startswith(words) and bool(said) == bool(words)
+        assert said.startswith(words)
+        assert bool(said) == bool(words)
     look([])
     assert capsys.readouterr().err == ""
 

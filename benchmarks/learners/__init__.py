@@ -1,1 +1,0 @@
-"""Learners: which choices matter, and a second core."""
