@@ -36,7 +36,7 @@ from ..envs import layouts, tasks
 from ..envs.batch import BY_GROUP, BatchEnv, require_batched
 from ..errors import BUSY, InputError, extra, input_errors
 from ..runs import training
-from ..runs.config import RunConfig
+from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
 from ..terminal.console import console
 from ..terminal.epochs import duration
@@ -407,6 +407,7 @@ class _Training:
             times = {"collect_s": collect_s, "update_s": update_s}
             row |= {k: round(v / len(before), 4) for k, v in times.items()}
             row["steps_per_s"] = round((one.env_steps - before[i]) / seconds, 1)
+            row[FINAL_TEST] = ""  # no batch is tested at its end
             self.rows[i].append(row)
 
     def save(self) -> None:
