@@ -135,7 +135,7 @@ class TestLearner:
             np.testing.assert_allclose(policy.act(batch), np.stack([*map(agent.act, singles)]), 1e-4)
         result = tactilerl.evaluate(policies[1], made, episodes=5)
         assert result == {key: told[key] for key in result}
-        assert len(told) == len(result) + 4  # which run, how far it was, whether with noise
+        assert len(told) == len(result) + 5  # which run, how far, with noise or not, each episode
 
     def test_env_stays_open_and_is_played_in_as_it_is_wrapped(self):
         class Counted(gym.Wrapper):

@@ -184,7 +184,8 @@ class _Watch:
             if job.run.place not in goals:
                 goals[job.run.place] = job.run.config().run.total_timesteps
         self._goals = {job.run.name: goals[job.run.place] for job in jobs}
-        self._files = StudyFiles(jobs[0].folder) if jobs else None
+        self._files = StudyFiles(jobs[0].folder if jobs else Path())
+        self._seen = dict[str, tuple[int, int]]()
         self._done = self._steps([job.run for job in jobs])
         self._tenths: Tenths | None = None
 
@@ -199,14 +200,19 @@ class _Watch:
 
     def _steps(self, waiting: Sequence[Run]) -> int:
         """Return how many steps are made; what is not `waiting` any more has its whole length."""
-        steps = dict(self._goals)
-        for run in waiting:
-            rows = []
-            if self._files and self._files.run_dir(run).table.exists():
-                rows = self._files.record(run).rows
-            made = int(rows[-1]["env_steps"]) if rows else 0
-            steps[run.name] = min(made, self._goals[run.name])
-        return sum(steps.values())
+        made = {run.name: self._made(run) for run in waiting}
+        return sum(min(made.get(run, goal), goal) for run, goal in self._goals.items())
+
+    def _made(self, run: Run) -> int:
+        """Return the steps in a run's table, which is read again only after it has grown."""
+        try:
+            size = self._files.run_dir(run).table.stat().st_size
+        except FileNotFoundError:
+            return 0
+        if self._seen.get(run.name, (-1, 0))[0] != size:
+            rows = self._files.record(run).rows
+            self._seen[run.name] = size, int(rows[-1]["env_steps"]) if rows else 0
+        return self._seen[run.name][1]
 
 
 def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending:

@@ -48,7 +48,8 @@ class Tenths:
         is_known = self._due or share >= FIRST_ESTIMATE or spent >= AT_LATEST
         if is_known and self._due <= share < 1:
             left = about(spent * (1 - share) / share)
-            beside.print(f"{100 * share:.2g} %, about {left} left")
+            percent = f"{100 * share:.{'0f' if share > 0.01 else '2g'}}"
+            beside.print(f"{percent} %, about {left} left")
             self._due = int(10 * share + 1) / 10
 
 

@@ -1,12 +1,12 @@
 """Reports of studies: right numbers, the same bytes for the same records, seen in a browser."""
 
+import dataclasses
 import gzip
 import json
 import re
 import shutil
 import sys
 import tarfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -230,10 +230,14 @@ class TestForReaders:
             assert text.count(f"<figcaption>{picture.title}</figcaption>") == 1
             assert b"Learning curves" not in picture.svg
         setup = result.setups[0].setup
-        swapped = replace(setup, compare=replace(setup.compare, treatment="off", control="on"))
+        swapped = dataclasses.replace(
+            setup, compare=dataclasses.replace(setup.compare, treatment="off", control="on")
+        )
         assert swapped.groups == ["off", "on"]
         assert figures.colours(swapped) == figures.colours(setup)
-        polyak = replace(setup, compare=Contrast("polyak", "0.9", "0.95"), grid={"polyak": [0.9, 0.95]})
+        polyak = dataclasses.replace(
+            setup, compare=Contrast("polyak", "0.9", "0.95"), grid={"polyak": [0.9, 0.95]}
+        )
         assert not {*figures.colours(polyak).values()} & {*figures.colours(setup).values()}
 
     @needs_chromium

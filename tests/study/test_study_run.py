@@ -228,7 +228,7 @@ def test_how_long_all_runs_take_is_said_from_their_tables(tmp_path, capsys, monk
     interrupt(folder, runs[0], rows=5)  # of 25
     folder.run_dir(runs[1]).table.unlink()
     look = jobs._Watch([jobs.Job(folder.path, run) for run in runs])
-    for rows, words in ((5, ""), (10, ""), (11, "2.5 %, about "), (12, ""), (15, "1")):
+    for rows, words in ((5, ""), (10, ""), (11, "2 %, about "), (12, ""), (15, "1")):
         table.write_text(whole)
         interrupt(folder, runs[0], rows)
         look(runs)
