@@ -134,13 +134,17 @@ class Learner:
                 "learn: found this learner learning already, allowed once at a time"
             )
         try:
-            self._learn(run.total_timesteps, progress, callback)
+            self._learn(run.total_timesteps, progress, callback, tensorboard)
         finally:
             self._lock.release()
         return self
 
     def _learn(
-        self, total_timesteps: int, progress: bool, callback: Callback | None
+        self,
+        total_timesteps: int,
+        progress: bool,
+        callback: Callback | None,
+        tensorboard: str | Path | None,
     ) -> None:
         learner = self._learner
         learner.total_timesteps = learner.env_steps + total_timesteps
