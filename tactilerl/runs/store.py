@@ -63,10 +63,10 @@ REWRITE = 2.0  # the parts are written anew as one when they take this many time
 FIRST_COLUMNS = ["epoch", "env_steps"]  # the columns that every table begins with
 RATE_SUFFIX = "success_rate"  # ends the names of columns that are shares
 # Endings of columns, and what these may hold besides nan.
-LIMITS = {
-    RATE_SUFFIX: (0.0, 1.0),
+LIMITS: dict[tuple[str, ...], tuple[float, float]] = {
+    (RATE_SUFFIX,): (0.0, 1.0),
     (*FAULTS, "_s"): (0.0, 1e15),  # counts and seconds, which are added up
-    "": (-sys.float_info.max, sys.float_info.max),
+    ("",): (-sys.float_info.max, sys.float_info.max),
 }
 Row = dict[str, str]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import concurrent.futures
+import logging
 import shutil
 import signal
 from collections.abc import Iterator
@@ -66,8 +68,16 @@ def start(
         client = connect(where)
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"--on {on}: {error}") from error
+    # It would log tracebacks of what is said below in one line.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client:
-        yield client.get_executor(pure=False)
+        try:
+            yield client.get_executor(pure=False)
+        except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
+            raise OSError(
+                f"--on {on}: Dask's scheduler has gone; its runs keep their last checkpoints, and go "
+                "on when the study is run again"
+            ) from error
 
 
 def cluster(on: str, ranks: int, walltime: str | None, memory: str | None) -> Any:

@@ -1,9 +1,12 @@
 """Studies on engines other than this machine's cores: Dask's schedulers, and batch systems."""
 
+import json
 import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from importlib.util import find_spec
@@ -59,6 +62,41 @@ def test_no_scheduler_there(tmp_path, capsys):
         args = ["study", "run", write(tmp_path), "--out", tmp_path / "x", *on]
         fails_with(capsys, args, " ".join(on))
     assert not (tmp_path / "x").exists()
+
+
+def test_a_scheduler_that_dies(tmp_path, capfd):
+    import dask
+    import distributed  # noqa: F401
+
+    command = ["-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    command += ["--host", "127.0.0.1", "--scheduler-file", str(tmp_path / "where.json")]
+    scheduler = subprocess.Popen([sys.executable, *command], stderr=subprocess.DEVNULL)
+    while not (tmp_path / "where.json").exists() and scheduler.poll() is None:
+        time.sleep(0.1)
+    address, out = json.loads((tmp_path / "where.json").read_text())["address"], tmp_path / "out"
+
+    def kill():
+        while not (out / "study.json").exists() and scheduler.poll() is None:
+            time.sleep(0.1)
+        time.sleep(1.0)  # so that its jobs are there
+        scheduler.kill()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        with dask.config.set({"distributed.comm.timeouts.connect": "2s"}):
+            assert (
+                main(
+                    ["study", "run", str(write(tmp_path)), "--out", str(out), "--on", f"dask:{address}"]
+                )
+                == 1
+            )
+    finally:
+        scheduler.kill()
+        killer.join()
+        scheduler.wait()
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith(f"tactilerl: stopped: --on dask:{address}: Dask's scheduler has gone")
 
 
 DIRECTIVES = {  # as the manual of each has them
