@@ -543,7 +543,9 @@ class _Handover(_Reach):
         x, y, _ = place.T
         under = np.stack([x, y - reach, -half_size[:, 2] - task.below], 1)
         goals = np.tile(task.only_goal, (n, 1))
-        return palm + under, goals, rng.integers(*task.waits, size=n, endpoint=True)
+        low, high = task.waits
+        waits = rng.integers(low, high, n, endpoint=True)
+        return palm + under, goals, waits
 
     def before_step(
         self, simulator: BatchSimulator, steps: Array, playing: Array

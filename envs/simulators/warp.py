@@ -146,7 +146,8 @@ class WarpSimulator(BatchSimulator):
         if current.cuda_stream == 0:
             return None
         if current.cuda_stream not in self._streams:
-            self._streams[current.cuda_stream] = warp.stream_from_torch(current)
+            own = warp.stream_from_torch(current)  # type: ignore[no-untyped-call]
+            self._streams[current.cuda_stream] = own
         return self._streams[current.cuda_stream]
 
     def change_object(
