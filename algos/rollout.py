@@ -34,8 +34,6 @@ class Episode(Generic[Obs]):
     A step that diverged is void: its observation, action and reward are not here.
     """
 
-    seed: int = 0
-    """The seed of its reset."""
     obs: list[Obs] = field(default_factory=list)
     actions: list[Array] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
@@ -47,6 +45,8 @@ class Episode(Generic[Obs]):
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
     info: dict[str, Any] = field(default_factory=dict)
     """The environment's info of the last step."""
+    seed: int = 0
+    """The seed of its reset."""
 
     def add(self, policy: Policy, obs: Any) -> None:
         """Keep the next observation; DivergenceError where it is not finite."""

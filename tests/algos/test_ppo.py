@@ -514,7 +514,9 @@ class TestHardCases:
 
     @pytest.mark.parametrize("info", [{"is_success": 7}, {"is_success": math.inf}])
     def test_a_success_that_is_none_is_refused(self, info):
-        with pytest.raises(UnfitError, match=r"env: found the is_success (7|inf), allowed 0 or 1"):
+        with pytest.raises(
+            UnfitError, match=r"env: found the is_success in info (7|inf), allowed 0 or 1"
+        ):
             make_ppo(scripted(info=lambda step: info)).collect()
 
     def test_the_success_rate_is_that_of_episodes_that_say_it(self):
