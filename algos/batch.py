@@ -469,7 +469,7 @@ class BatchLearner:
 
     @property
     def unit(self) -> Tensor:
-        """What rewards are divided by, (E, 1); see `RewardScale`."""
+        """Return what rewards are divided by, (E, 1); see `RewardScale`."""
         return torch.where(self.scale == 0, 1.0, self.scale)[:, None]
 
     def _see(self, rewards: Tensor) -> None:
@@ -519,8 +519,8 @@ class BatchLearner:
 
         def seed(i: int, number: int) -> int:
             one = self.learners[i]
-            key = [one.seed, 0, purpose, getattr(one, counter), number]
-            return int(np.random.default_rng(key).integers(2**31))
+            key = one.seed, 0, purpose, getattr(one, counter)
+            return rollout.start_seed(key, number)
 
         return seed
 

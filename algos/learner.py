@@ -212,7 +212,7 @@ class RewardScale:
 
     @property
     def unit(self) -> float:
-        """What rewards are divided by."""
+        """Return what rewards are divided by."""
         return self.scale or 1.0
 
     def see(self, rewards: Array) -> None:

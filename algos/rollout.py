@@ -57,6 +57,11 @@ class Episode(Generic[Obs]):
         return len(self.rewards)
 
 
+def start_seed(key: Sequence[int], number: int) -> int:
+    """Return the seed of the reset with which `PlayEpisode` begins the episode of a number."""
+    return int(np.random.default_rng([*key, number]).integers(2**31))
+
+
 @dataclass(frozen=True)
 class PlayEpisode(Generic[Obs]):
     """Play the episode of a number: its start and its noise follow from `key` and the number."""

@@ -404,7 +404,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
 
 class _Draws(NamedTuple):
-    """What episodes draw at their start, (k, ...)."""
+    """Hold what episodes draw at their start, (k, ...)."""
 
     half_size: Array
     mass: Array
@@ -418,7 +418,7 @@ class _Draws(NamedTuple):
 
 
 class _Truth(NamedTuple):
-    """What tasks and hold tests look at, NumPy's, (n, ...)."""
+    """Hold what tasks and hold tests look at, NumPy's, (n, ...)."""
 
     kind: Kind
     palm: Array

@@ -195,7 +195,7 @@ FORMS = {
     ".json": '[{"link_name": NAME, "probes": [{"pos": [x, y, z], "normal": [x, y, z], "radius": r}]}]',
     ".csv": "x, y, z and, where they are known, link, nx, ny, nz, radius, name",
 }
-"""What files of points have in them, by their suffix."""
+"""Content that files of points have, by their suffix."""
 READERS: dict[str, Callable[[str], Tables]] = {
     ".json": _read_genesis,
     ".csv": _read_csv,

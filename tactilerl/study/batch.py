@@ -30,6 +30,7 @@ from gymnasium.vector import AutoresetMode
 
 from .. import algos, machine
 from ..algos import batch as learners
+from ..algos import rollout
 from ..algos.mpi import Communicator
 from ..algos.policy import flat_size
 from ..envs import layouts, tasks
@@ -421,7 +422,7 @@ class _Training:
             first = evaluation.task(None).key
 
             def seed(_: int, number: int) -> int:
-                return int(np.random.default_rng([*first, number]).integers(2**31))
+                return rollout.start_seed(first, number)
 
             asked = [self._waits(i) for i in range(len(self.rows))]
             tests = self.learner.play_best(asked, seed, n)
