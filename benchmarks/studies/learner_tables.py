@@ -58,14 +58,15 @@ def grouped(name: str, key=group_of) -> dict[str, list[Record]]:
     return groups
 
 
-def part(record: Record, begin: float, column: str = "success_rate") -> float:
-    """Return the mean of a column from a fraction of a run's steps on, by steps.
+def part(record: Record, begin: float, column: str = "success_rate", end: float = 1.0) -> float:
+    """Return the mean of a column between two fractions of a run's steps, by steps.
 
     A row is of the steps up to its own.
     """
     steps, values = record.column("env_steps"), record.column(column)
     before = np.r_[0.0, steps[:-1]]
-    weights = np.clip(steps - np.maximum(before, begin * steps[-1]), 0.0, None)
+    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
+    weights = np.clip(until - since, 0.0, None)
     return float(np.average(values, weights=weights))
 
 

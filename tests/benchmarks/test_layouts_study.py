@@ -1,0 +1,90 @@
+"""The tables of the study of layouts find what made-up runs were given, and nothing else."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+pytest.importorskip("statsmodels")
+from benchmarks.studies import layouts_study as study
+
+HANDS = [*study.HANDS]
+
+
+@pytest.fixture
+def made_up(monkeypatch, rng):
+    """Return a function that makes runs with given means of the layouts, (hands, layouts)."""
+
+    def make(levels, n_seeds=48):
+        cells = [
+            {"setup": (learner, hand), "layout": name, study.TEST: score, study.RUN: score / 2}
+            | dict.fromkeys(study.WINDOWS, score)
+            for learner in study.LEARNERS
+            for hand, of_hand in zip(HANDS, levels, strict=True)
+            for name, level in zip((*study.LAYOUTS, study.NONE), [*of_hand, 0.2], strict=True)
+            for score in level + 0.08 * rng.standard_normal(n_seeds)
+        ]
+        monkeypatch.setattr(study, "runs", lambda: pd.DataFrame(cells))
+
+    return make
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def test_pairs_differ_where_they_do(made_up):
+    levels = np.full((3, 8), 0.7)
+    levels[:, 4] = 0.6  # layout 5
+    made_up(levels)
+    pooled = study.differences(study.cells())
+    found = {pair for pair, is_one in zip(study.PAIRS, study.differ(pooled), strict=True) if is_one}
+    assert found == {pair for pair in study.PAIRS if 4 in pair}
+    gain, p = study.contrast(study.cells(), study.GAIN)
+    assert gain.low < 0.7 - 0.1 / 8 - 0.2 < gain.high
+    assert p < 1e-6
+
+
+def test_intervals_of_all_pairs_hold_at_once(made_up):
+    """Of twenty studies without any difference, about one says that there is one."""
+    wrong = 0
+    for _ in range(20):
+        made_up(np.full((3, 8), 0.7), n_seeds=10)
+        of = study.cells()
+        wrong += any(study.differ(study.differences({setup: of[setup] for setup in [study.SETUPS[0]]})))
+    assert wrong <= 4
+
+
+def test_few_are_as_good_only_within_the_margin(made_up, capsys):
+    levels = np.full((3, 8), 0.7)
+    levels[:, 6] = 0.55  # four chosen
+    made_up(levels)
+    study.show_equivalence()
+    rows = [line for line in capsys.readouterr().out.splitlines() if "all set-ups" in line]
+    assert [row.split("|")[-2].strip() for row in rows] == ["worse", "equivalent"]
+
+
+def test_a_predictor_is_found_and_noise_is_not(rng):
+    x = rng.standard_normal((3, 8, 1))
+    y = 0.3 * x[..., 0] + np.array([[0.0], [1.0], [2.0]])  # each hand has its own level
+    assert study.predicted(x, y, by_hand=True) == pytest.approx(1.0)
+    assert study.predicted(x, y, by_hand=False) == pytest.approx(1.0)
+    noise = [study.predicted(rng.standard_normal((3, 8, 1)), y, by_hand=True) for _ in range(50)]
+    assert np.mean(noise) < 0
+
+
+def test_all_tables_and_the_figure_come_out(made_up, monkeypatch, rng, tmp_path, capsys):
+    made_up(0.5 + 0.3 * rng.random((3, 8)), n_seeds=5)
+    known = {"taxels": 20, "area_mm2": 100.0, "success": 0.8}
+    table = {
+        hand: {name: {k: v * (1 + rng.random()) for k, v in known.items()} for name in study.LAYOUTS}
+        for hand in HANDS
+    }
+    monkeypatch.setattr(study, "data", lambda name: table)
+    monkeypatch.setattr(study, "N_RESAMPLES", 20)
+    for show in study.TABLES.values():
+        show()
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    study.draw(tmp_path)
+    assert (tmp_path / "layouts_study.png").stat().st_size > 10_000
