@@ -16,7 +16,6 @@ import numpy as np
 import pandas as pd
 import scipy.stats
 from matplotlib.figure import Figure
-from statsmodels.stats.multicomp import pairwise_tukeyhsd
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study.records import Record
@@ -109,11 +108,16 @@ def minus(i: int, j: int) -> Array:
 GAIN = np.r_[np.full(len(LAYOUTS), 1 / len(LAYOUTS)), -1.0]  # all layouts minus no touch
 
 
-def resampled(of: Cells) -> Array:
-    """Return means of cells from resampled seeds, (resamples, set-ups, layouts and no touch)."""
+def resampled(of: Cells) -> tuple[Array, Array]:
+    """Return means of cells from resampled seeds, and their squared standard errors.
+
+    Each is (resamples, set-ups, layouts and no touch).
+    """
     rng = np.random.default_rng(0)
-    drawn = [[rng.choice(cell, (N_RESAMPLES, len(cell))).mean(axis=1) for cell in of[s]] for s in of]
-    return np.moveaxis(np.array(drawn), -1, 0)
+    drawn = [[rng.choice(cell, (N_RESAMPLES, len(cell))) for cell in of[s]] for s in of]
+    mean = np.array([[runs.mean(axis=1) for runs in group] for group in drawn])
+    square = np.array([[runs.var(axis=1, ddof=1) / runs.shape[1] for runs in group] for group in drawn])
+    return np.moveaxis(mean, -1, 0), np.moveaxis(square, -1, 0)
 
 
 def parts_of(of: Cells) -> dict[str, Cells]:
@@ -137,20 +141,22 @@ def show_touch() -> None:
 
 
 def differences(of: Cells) -> list[Estimate]:
-    """Return each pair of layouts with an interval that holds for all pairs at once."""
-    if len(of) == 1:
-        (group,) = of.values()
-        names = np.repeat(np.arange(len(LAYOUTS)), [len(cell) for cell in group[:-1]])
-        test = pairwise_tukeyhsd(np.concatenate(group[:-1]), names, use_var="unequal")
-        # It has the second of a pair minus the first.
-        rows = zip(test.meandiffs, *test.confint.T, strict=True)
-        return [Estimate(-value, -high, -low) for value, low, high in rows]
-    pooled = [contrast(of, minus(i, j), 0.6827)[0] for i, j in PAIRS]
-    value = np.array([one.value for one in pooled])
-    error = np.array([one.high - one.value for one in pooled])
+    """Return each pair of layouts, averaged over set-ups, with intervals that hold for all at once.
+
+    They reach as far as the largest |t| of any pair in 95 % of the studies from resampled seeds.
+    """
     left, right = np.transpose(PAIRS)
-    drawn = resampled(of).mean(axis=1)
-    largest = (np.abs(drawn[:, left] - drawn[:, right] - value) / error).max(axis=1)
+
+    def pairs(mean: Array, square: Array) -> tuple[Array, Array]:
+        """Return differences and standard errors (..., pairs) from (..., set-ups, cells)."""
+        level, variance = mean.mean(axis=-2), square.sum(axis=-2) / len(of) ** 2
+        error = np.sqrt(variance[..., left] + variance[..., right])
+        return level[..., left] - level[..., right], error
+
+    squares = [[cell.var(ddof=1) / len(cell) for cell in group] for group in of.values()]
+    value, error = pairs(means(of), np.array(squares))
+    drawn, drawn_error = pairs(*resampled(of))
+    largest = (np.abs(drawn - value) / np.maximum(drawn_error, 1e-12)).max(axis=1)
     reach = np.quantile(largest, 0.95) * error
     return [Estimate(*map(float, one)) for one in zip(value, value - reach, value + reach, strict=True)]
 
@@ -189,7 +195,7 @@ def show_agreement() -> None:
     for hand, name in HANDS.items():
         both = {(learner, hand): of[learner, hand] for learner in LEARNERS if (learner, hand) in of}
         if len(both) == 2:
-            drawn = [rank_correlation(*sample[:, :-1]) for sample in resampled(both)]
+            drawn = [rank_correlation(*sample[:, :-1]) for sample in resampled(both)[0]]
             low, high = statistics.percentile_interval(np.array(drawn))
             value = Estimate(rank_correlation(*means(both)[:, :-1]), low, high)
             rows.append((f"learners, {name}", f"rank correlation {estimate(value, '.2f')}", ""))
@@ -235,7 +241,7 @@ def show_predictors() -> None:
         of = {setup: group for setup, group in cells().items() if setup[0] == learner}
         if len(of) < 2:
             continue
-        x, y, drawn = predictors([hand for _, hand in of]), means(of)[:, :-1], resampled(of)
+        x, y, drawn = predictors([hand for _, hand in of]), means(of)[:, :-1], resampled(of)[0]
         for name, columns in {
             **{n: [i] for i, n in enumerate(PREDICTORS)},
             "all three": [0, 1, 2],

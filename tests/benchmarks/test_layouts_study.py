@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-pytest.importorskip("statsmodels")
+pytest.importorskip("pandas")
 from benchmarks.studies import layouts_study as study
 
 HANDS = [*study.HANDS]
