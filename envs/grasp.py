@@ -20,10 +20,10 @@ from . import (
     touch,
     validation,
 )
-from .objects import ObjectConfig
+from .objects import ObjectConfig, Shape
 from .observations import ObservationConfig, Observer
 from .simulators import SimulationError, Sphere
-from .state import Array, Shape, State
+from .state import Array, State
 from .tasks import TaskConfig
 from .validation import blamed, require_known, require_one_of
 
@@ -143,7 +143,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self.render_mode = render_mode
         fps = max(1, round(1 / config.control_dt))
         self.metadata = {**self.metadata, "render_fps": fps}
-        self._items = items = objects.Items(config)
+        task = tasks.TASKS[config.task]
+        self._items = items = task.items(config)
         self._item = first = items.first
         width = items.width if config.is_near else math.inf
         self.hand = hands.get(hand).start_above(width, items.height)
@@ -157,7 +158,7 @@ class GraspEnv(gym.Env[Any, Array]):
             config.taxel_threshold,
             config.taxel_release,
         )
-        self.task: tasks.Task = tasks.TASKS[config.task](
+        self.task: tasks.Task = task(
             config, self.hand, setup(hand).timestep, first.shape
         )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
@@ -174,14 +175,7 @@ class GraspEnv(gym.Env[Any, Array]):
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)
-        self._observer = Observer(
-            config,
-            self.hand,
-            () if config.touch == "absent" else self.taxels.names,
-            self._touch.is_boolean,
-            config.control_dt,
-            first.shape,
-        )
+        self._observer = self.observer(config)
         place = np.array([0.0, 0.0, items.height / 2])
         self.simulator.reset(self.hand.start_positions(), place, 0.0)
         self.state = self.simulator.state()
@@ -198,6 +192,18 @@ class GraspEnv(gym.Env[Any, Array]):
             desired = gym.spaces.Box(goal, goal)
         spaces = {"observation": self._observer.space, "achieved_goal": goals}
         self.observation_space = gym.spaces.Dict({**spaces, "desired_goal": desired})
+
+    def observer(self, config: GraspConfig) -> Observer:
+        """Return what makes observations, by another configuration of the sensors."""
+        return Observer(
+            config,
+            self.hand,
+            self.task.observation_terms,
+            () if config.touch == "absent" else self.taxels.names,
+            self._touch.is_boolean,
+            config.control_dt,
+            self._items.first.shape,
+        )
 
     def _palm_skin(self) -> Array:
         """Return the place (3,) on the palm's skin where objects are handed over."""
@@ -251,13 +257,20 @@ class GraspEnv(gym.Env[Any, Array]):
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
         config = self.config
         if config.jitter:
-            offset = rng.uniform(-config.start_offset, config.start_offset, 2)
+            offset = rng.uniform(-config.start_offset, config.start_offset, size=2)
             yaw = rng.uniform(-config.start_yaw, config.start_yaw)
-            fingers = joints[hands.FINGERS]
-            fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
+            n_fingers = len(joints[hands.FINGERS])
+            fingers = rng.uniform(-JITTER_JOINT, JITTER_JOINT, size=n_fingers)
+            fingers = joints[hands.FINGERS] + fingers
+            arm = np.broadcast_to(
+                joints[hands.ARM], (*fingers.shape[:-1], len(joints) - n_fingers)
+            )
+            joints = np.concatenate([arm, fingers], axis=-1)
             joints = np.clip(joints, *self.simulator.joint_limits.T)
-        position = np.array([*offset, shape.half_size[2]])
-        return tasks.Start(joints, position, yaw, self.hand.start_targets())
+        place = np.broadcast_arrays(offset[..., 0], offset[..., 1], shape.half_size[2])
+        return tasks.Start(
+            joints, np.stack(place, axis=-1), yaw, self.hand.start_targets()
+        )
 
     def step(
         self, action: Array
@@ -301,6 +314,7 @@ class GraspEnv(gym.Env[Any, Array]):
         info = self._info(is_success=bool(self.task.is_success(*goals)))
         if self.render_mode == "human":
             self.render()
+        terminated = bool(terminated)
         return obs, float(reward), terminated, is_last and not terminated, info
 
     def compute_reward(

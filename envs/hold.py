@@ -15,8 +15,8 @@ docs/concepts/tasks.md, "The hold test".
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import count, product
-from typing import Literal
+from itertools import product
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -62,65 +62,92 @@ class HoldTest:
         Joint targets stay as they are, but for the slide that rises. Leaves the simulator wherever the
         test ended.
         """
-        timestep = simulator.scene.timestep
-        n_substeps = max(1, round(self.look_every / timestep))
-        n_left = max(1, round(self.seconds / timestep))
-        n_shaken = round(self.shake_seconds / self.look_every)
-        rise = RAISE_SPEED * timestep * n_substeps
-        targets, corners = state.targets.copy(), _corners(state)
-        # From where the slide is, not from its target: the hand may lag far behind that.
-        targets[2] = state.joint_positions[2]
-        top = targets[2] + self.height - state.palm[2]
+        timestep, targets = simulator.scene.timestep, state.targets.copy()
+        trial, is_over, is_held = self.begin(state, timestep), False, False
         try:
-            for look in count(1):
-                if targets[2] != top:  # the palm does not turn, but rise and stay
-                    targets[2] += np.clip(top - targets[2], -rise, rise)
-                else:
-                    n_substeps = min(n_substeps, n_left)
-                    n_left -= n_substeps
-                simulator.step(targets, n_substeps)
-                state, before = simulator.state(), corners
-                corners, is_at_top = _corners(state), bool(targets[2] == top)
-                if not np.linalg.norm(_in_hand(state)) <= self.out_of_reach:
-                    return False
-                if is_at_top and not n_left:
-                    break
-                if self.verdict == "full":
-                    continue
-                compressed = (look - n_shaken) * self.look_every
-                if compressed >= 0:
-                    simulator.set_creep(self.creep)
-                furthest = float(np.linalg.norm(corners - before, axis=1).max())
-                speed = furthest / self.look_every
-                if compressed > 0 and self._settles(
-                    state, speed, compressed, is_at_top
-                ):
-                    break
+            while not is_over:
+                trial, n_substeps = self.rise(trial, timestep)
+                targets[2] = trial.slide
+                simulator.step(targets, int(n_substeps))
+                trial, is_over, is_held = self.judge(trial, simulator.state())
+                simulator.set_creep(float(self.creep_in(trial)))
         finally:
             simulator.set_creep(1.0)
-        return True
+        return bool(is_held)
 
-    def _settles(
-        self, state: State, speed: float, compressed: float, is_at_top: bool
-    ) -> bool:
-        """Return True if the test may end early with success, after `compressed` s of it.
+    def begin(self, state: State, timestep: float) -> Trial:
+        """Return a test that begins in this state, or one in each of many.
 
-        The object, which moves in the hand at `speed`, m/s, is at rest, or still in the hand at the top
-        when time is up.
+        It starts from where the slide is, not from its target: the hand may lag far behind that.
         """
-        whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
-        left = max(0.0, whole - compressed)
-        is_at_rest = speed * (left + self.look_every) < self.settle_distance
-        return bool(is_at_rest and state.clearance > CLEARANCE) or (
-            is_at_top and left == 0
+        slide = state.joint_positions[..., 2]
+        top = slide + self.height - state.palm[..., 2]
+        left = max(1, round(self.seconds / timestep)) + 0 * slide
+        return Trial(slide, top, 0 * slide, left, _corners(state))
+
+    def rise(self, trial: Trial, timestep: float) -> tuple[Trial, Array]:
+        """Return the test with the slide's next target, and the number of timesteps to the next look."""
+        n_substeps = max(1, round(self.look_every / timestep))
+        furthest = RAISE_SPEED * timestep * n_substeps
+        is_rising = (
+            trial.slide != trial.top
+        )  # the palm does not turn, but rise and stay
+        slide = trial.slide + np.clip(trial.top - trial.slide, -furthest, furthest)
+        n = np.where(is_rising, n_substeps, np.minimum(n_substeps, trial.left))
+        left = np.where(is_rising, trial.left, trial.left - n)
+        return trial._replace(slide=slide, look=trial.look + 1, left=left), n
+
+    def judge(self, trial: Trial, state: State) -> tuple[Trial, Array, Array]:
+        """Return the test after a look at the object, whether it is over, and whether it was held."""
+        away, is_at_top = (
+            np.linalg.norm(state.object_position - state.palm, axis=-1),
+            trial.slide == trial.top,
         )
+        is_lost = ~(away <= self.out_of_reach)
+        is_held = is_at_top & (trial.left == 0)
+        if self.verdict == "settled":
+            corners, compressed = _corners(state), self._compressed(trial)
+            speed = (
+                np.linalg.norm(corners - trial.corners, axis=-1).max(-1)
+                / self.look_every
+            )
+            trial = trial._replace(corners=corners)
+            whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
+            left = np.maximum(0.0, whole - compressed)
+            # In the hand it moves so little that it will not get far, or time is up.
+            is_at_rest = speed * (left + self.look_every) < self.settle_distance
+            is_at_rest &= state.clearance > CLEARANCE
+            is_held |= (compressed > 0) & (is_at_rest | is_at_top & (left == 0))
+        return trial, is_lost | is_held, is_held & ~is_lost
+
+    def creep_in(self, trial: Trial) -> Array:
+        """Return by which factor creep is sped up now."""
+        is_fast = (self.verdict == "settled") & (self._compressed(trial) >= 0)
+        return np.where(is_fast, self.creep, 1.0)
+
+    def _compressed(self, trial: Trial) -> Array:
+        """Return the time since creep was sped up, s."""
+        return (
+            trial.look - round(self.shake_seconds / self.look_every)
+        ) * self.look_every
 
 
-def _in_hand(state: State) -> Array:
-    """Return the object's position relative to the palm (3,), m."""
-    return state.object_position - state.palm
+class Trial(NamedTuple):
+    """A hold test on its way, or one in each of many scenes."""
+
+    slide: Array
+    """Target (...) of the slide that rises, m."""
+    top: Array
+    """Where it stays then (...), m."""
+    look: Array
+    """Number of looks at the object (...)."""
+    left: Array
+    """Number of timesteps left at the top (...)."""
+    corners: Array
+    """Corners (..., 8, 3) of the object's bounding box relative to the palm, m; they show turns."""
 
 
 def _corners(state: State) -> Array:
-    """Return corners (8, 3) of the object's bounding box relative to the palm, m; they show turns."""
-    return _in_hand(state) + CORNERS * state.shape.half_size @ state.object_rotation.T
+    scaled = CORNERS * np.stack(state.shape.half_size, axis=-1)[..., None, :]
+    in_hand = state.object_position - state.palm
+    return in_hand[..., None, :] + scaled @ state.object_rotation.swapaxes(-1, -2)

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..state import Array, Kind, Shape
+from ..objects import Kind, Shape
+from ..state import Array
 from . import Scene, SimulationError
 from .mujoco import MujocoSimulator
 
