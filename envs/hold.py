@@ -66,11 +66,11 @@ class HoldTest:
         trial, is_over, is_held = self.begin(state, timestep), False, False
         try:
             while not is_over:
+                simulator.set_creep(float(self.creep_in(trial)))
                 trial, n_substeps = self.rise(trial, timestep)
                 targets[2] = trial.slide
                 simulator.step(targets, int(n_substeps))
                 trial, is_over, is_held = self.judge(trial, simulator.state())
-                simulator.set_creep(float(self.creep_in(trial)))
         finally:
             simulator.set_creep(1.0)
         return bool(is_held)

@@ -64,6 +64,16 @@ def host(values: Any) -> np.ndarray:
     return np.asarray(values.cpu() if hasattr(values, "cpu") else values)
 
 
+def like(values: Any, other: Any) -> Any:
+    """Return an array as another is: NumPy's, or a tensor on its device."""
+    xp = namespace(other)
+    return (
+        values
+        if xp is np
+        else xp.as_tensor(values, dtype=other.dtype, device=other.device)
+    )
+
+
 @dataclass(frozen=True)
 class Shape:
     """A primitive in its own frame, centred at the origin; a cylinder stands along z. In m.

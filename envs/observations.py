@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 
 from .hands import ARM, SLIDES, Hand
-from .objects import KINDS, Shape, namespace
+from .objects import KINDS, Shape, host, like, namespace
 from .state import Array, State
 from .validation import Fraction, Newtons, allow_only_with, require_one_of
 
@@ -156,7 +156,7 @@ TERMS = {
     "targets": Term(
         "asked for:",
         attrgetter("action_names"),
-        lambda hand, state: hand.action_map.commands(state.targets),
+        lambda hand, state: hand.action_map.commands(host(state.targets)),
     ),
 }
 
@@ -196,7 +196,7 @@ class FalseReadings(Stage):
     def __call__(self, reading: Array) -> Array:
         """Return the reading with some bits flipped."""
         draws, where = (
-            self._rng.random(size=reading.shape[-1:]),
+            self._rng.random(size=reading.shape[-1]),
             namespace(reading).where,
         )
         of_on = where(draws < self.false_off, 0.0, reading)
@@ -352,7 +352,7 @@ def _turned(vector: Array, quaternion: Array) -> Array:
     half = xp.linalg.norm(vector, axis=-1)[..., None] / 2
     v, w = vector * xp.sinc(half / np.pi) / 2, xp.cos(half)
     real, u = quaternion[..., :1], quaternion[..., 1:]
-    turned = w * u + real * v + xp.linalg.cross(v, u)
+    turned = w * u + real * v + xp.cross(v, u, axis=-1)
     both: Array = xp.concatenate(
         [w * real - (v * u).sum(-1)[..., None], turned], axis=-1
     )
@@ -439,10 +439,21 @@ class Observer:
     def reset(self, rng: np.random.Generator) -> None:
         """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
-        for sense, stream in zip(self.senses, (sight, joints), strict=False):
-            sense.reset(stream)
-        for stage in (*self.stages, self.past):
-            stage.reset(taxels)
+        self.reset_senses(sight, joints)
+        self.reset_taxels(taxels)
+
+    def reset_senses(
+        self, sight: np.random.Generator, joints: np.random.Generator
+    ) -> None:
+        """Begin a new episode of what is sensed but for the taxels."""
+        for sense, rng in zip(self.senses, (sight, joints), strict=False):
+            sense.reset(rng)
+        self.past.reset(joints)
+
+    def reset_taxels(self, rng: np.random.Generator) -> None:
+        """Begin a new episode of the taxels."""
+        for stage in self.stages:
+            stage.reset(rng)
 
     def observe(self, state: State, taxels: Array) -> Array:
         """Return the observation (n,) float32 of a state and taxel readings; once a control step."""
@@ -453,7 +464,10 @@ class Observer:
         """Return the observation (..., m) of a state without its taxels; once a control step."""
         for sense in self.senses:
             state = sense(state)
-        terms = [term.read(self.hand, state) for term in self._terms.values()]
+        terms = [
+            like(term.read(self.hand, state), state.palm)
+            for term in self._terms.values()
+        ]
         return self.past(namespace(state.palm).concatenate(terms, axis=-1))
 
     def feel(self, taxels: Array) -> Array:
