@@ -10,7 +10,7 @@ import tactilerl
 import torch
 from gymnasium.vector import AutoresetMode
 from tactilerl import envs
-from tactilerl.envs.batch import BatchEnv, DeviceDraws
+from tactilerl.envs.batch import BatchEnv, DeviceDraws, HostDraws, OneForAll
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
 NOISY = dict(object_seen="noisy", joint_noise=0.02, joint_noise_held=0.05, slide_noise=0.001)
@@ -177,16 +177,9 @@ def test_autoreset_goes_on_as_grasp_env_does(mode: AutoresetMode) -> None:
 def test_device_draws_are_a_worlds_own_and_even() -> None:
     def drawn(seeds: list[int], n: int) -> Any:
         draws = DeviceDraws(
-            len(seeds), lambda values: torch.as_tensor(np.asarray(values), dtype=torch.float64)
+            np.array(seeds), convert=lambda values: torch.as_tensor(values, dtype=torch.float64)
         )
-        for i, seed in enumerate(seeds):
-            draws.begin(i, np.random.default_rng(seed))
-        return np.stack(
-            [
-                draws("joints", np.ones(len(seeds), bool), np.full(len(seeds), 25)).numpy()
-                for _ in range(n)
-            ]
-        )
+        return np.stack([draws.standard_normal(size=25).numpy() for _ in range(n)])
 
     values = drawn(list(range(40)), 50)
     assert abs(values.mean()) < 0.02
@@ -275,15 +268,14 @@ def test_starts_drawn_at_once_are_spread_like_those_of_grasp_env(task: Any) -> N
     one = GraspConfig(task=task, object_size=("0.04..0.06",), friction="0.8..1", simulator="mujoco")
     if task == "handover":
         one = config("mpl")
-    env = BatchEnv("mpl", [(one, 2)], "loop", draws="device")
-    env.reset(seed=0)
-    many, rows = env._draw_at_once(np.arange(2).repeat(1000)), []
-    for seed in range(400):
-        env._rngs[0] = np.random.default_rng(seed)
-        rows.append(env._draw([0]))
-    for name, got, want in zip(
-        many._fields, many, map(np.concatenate, zip(*rows, strict=True)), strict=True
-    ):
-        spread = np.maximum(np.ptp(want, axis=0), 1e-9)
-        for at in (np.min, np.mean, np.max):
-            assert np.abs((at(got, axis=0) - at(want, axis=0)) / spread).max() < 0.1, name
+    env = GraspEnv("mpl", one)
+
+    def drawn(rng: Any) -> Any:
+        item, start, _, _ = env.draw_start(rng)
+        return np.column_stack([*item.shape.half_size, item.mass, item.friction, *start[:3]])
+
+    got = drawn(OneForAll(np.random.default_rng(0), np.ones(2000, bool)))
+    want = drawn(HostDraws(np.array([np.random.default_rng(seed) for seed in range(400)])))
+    for at in (np.min, np.mean, np.max):
+        difference = np.abs(at(got, axis=0) - at(want, axis=0))
+        assert (difference <= 0.1 * np.ptp(want, axis=0) + 1e-12).all()
