@@ -1,8 +1,8 @@
 """BatchEnv: what `GraspEnv` plays, in many worlds at once; a Gymnasium VectorEnv.
 
-Its parts are `GraspEnv`'s own, whose arrays have a leading axis here: touch and senses PyTorch's, on the
-device, tasks, hold tests and what an episode draws NumPy's. Taxels move nothing: worlds with other
-layouts, other faults or no touch at all share one batch of physics.
+Its parts are `GraspEnv`'s own, whose arrays have a leading axis here: touch and senses PyTorch's, on
+the device, tasks, hold tests and what an episode draws NumPy's. Taxels move nothing: worlds with
+other layouts, other faults or no touch at all share one batch of physics.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .hold import Trial
 from .objects import host
 from .observations import Observer
 from .simulators import batch as simulators
-from .state import Array, Contacts, State
+from .state import Array, State
 
 T = TypeVar("T")
 Obs = dict[str, Any]
@@ -56,17 +56,11 @@ def require_batched(configs: Sequence[GraspConfig]) -> None:
             f"simulator: found {first.simulator!r} in a batch, allowed: mujoco"
         )
     for name, known in (("touch_rule", touch.RULES), ("task", tasks.TASKS)):
-        found = getattr(first, name)
-        if not vars(known[found]).get(
-            "is_batched"
-        ):  # of its own: it may override what its base does
-            allowed = [
-                key for key, kind in known.items() if vars(kind).get("is_batched")
-            ]
-            raise ValueError(
-                f"{name}: found {found!r} in a batch, allowed: {', '.join(allowed)}, or a class of yours "
-                "that says is_batched = True"
-            )
+        # In the class itself: one of somebody else's may override what its base does.
+        allowed = [key for key, kind in known.items() if vars(kind).get("is_batched")]
+        if getattr(first, name) not in allowed:
+            found = f"found {getattr(first, name)!r} in a batch"
+            raise ValueError(f"{name}: {found}, allowed: {', '.join(allowed)}")
     if "," in first.object:
         raise ValueError(f"object: found {first.object!r} in a batch, allowed one kind")
 
@@ -103,8 +97,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         `device` is PyTorch's for MuJoCo Warp, or "loop": MuJoCo in a loop, on the CPU. `draws` says
         what the noise of each step comes from: "host", `GraspEnv`'s own generators, the same numbers
-        (usual with "loop"), or "device" (else), a counter hashed with the episode's key. What an
-        episode draws at its start is the same with both. `simulator` are options of the simulator.
+        (usual with "loop"), or "device" (else), a generator of PyTorch's for all worlds. `simulator`
+        are options of the simulator.
 
         Raise ValueError for scenes that do not go together.
         """
@@ -122,14 +116,16 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.widths = tuple(len(env.observation_names()) for env in envs)
         """Length of each group's own ``observation``."""
         self.simulator = simulators.make(single.simulator.scene, n, device, **simulator)
-        self.device = self.simulator.device
-        self._draws = _DRAWS[draws or ("host" if device == "loop" else "device")]
-        tensor = self.simulator.tensor
+        self.device, tensor = self.simulator.device, self.simulator.tensor
+        self._is_host = (draws or ("host" if device == "loop" else "device")) == "host"
+        self._noise = DeviceDraws(torch.Generator(self.device), n, self.simulator.dtype)
         self._observer = _together([single._observer], [n], tensor)
         self._members = []
-        groups_of_worlds = np.repeat(np.arange(len(groups)), sizes)
         for env in made.values():
             own = [number for number, other in enumerate(envs) if other is env]
+            worlds = np.flatnonzero(
+                np.isin(np.repeat(np.arange(len(groups)), sizes), own)
+            )
             observers = [env.observer(configs[number]) for number in own]
             observer = _together(observers, [sizes[number] for number in own], tensor)
             rule = (
@@ -137,42 +133,28 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 if env.config.touch == "on"
                 else None
             )
-            worlds = np.flatnonzero(np.isin(groups_of_worlds, own))
-            m = 0 if env.config.touch == "absent" else len(env.taxels)
-            self._members.append(
-                _Member(
-                    worlds,
-                    torch.as_tensor(worlds, device=self.device),
-                    m,
-                    rule,
-                    observer,
-                )
-            )
-        rules = [member.rule for member in self._members if member.rule is not None]
+            n_taxels = len(env.taxels) if env.config.touch != "absent" else 0
+            self._members.append(_Member(worlds, n_taxels, rule, observer))
         self._wants_contacts = self.task.by_contacts or any(
-            rule.by_contacts for rule in rules
+            member.rule and member.rule.by_contacts for member in self._members
         )
         self.metadata = {"autoreset_mode": autoreset}
         self._autoreset, self._numpy = autoreset, numpy
         self.single_action_space = single.action_space
         self.action_space = batch_space(single.action_space, n)
         self.group_observation_spaces = tuple(env.observation_space for env in envs)
-        widest = envs[int(np.argmax(self.widths))]
-        self.single_observation_space: Any = widest.observation_space
-        self.observation_space = batch_space(self.single_observation_space, n)
-        self._rng, self._rngs = np.random.default_rng(), np.full(n, None)
-        self._keys = (
-            np.full(n, None) if self._draws is HostDraws else np.zeros(n, np.int64)
+        widest: Any = self.group_observation_spaces[int(np.argmax(self.widths))]
+        self.single_observation_space, self.observation_space = (
+            widest,
+            batch_space(widest, n),
         )
+        self._rng, self._rngs = np.random.default_rng(), np.full(n, None)
         self._targets = np.tile(single.hand.start_targets(), (n, 1))
         self._steps, self._position = np.zeros(n, int), np.zeros((n, 3))
         self._holding, self._over = np.zeros(n, bool), np.ones(n, bool)
-        self._trial = Trial(
-            *(np.zeros((n, *shape)) for shape in ((), (), (), (), (8, 3)))
-        )
-        self._achieved, self._desired, self._shown, self._held, self._lost = np.zeros(
-            (5, n, self.task.goal_size), np.float32
-        )
+        self._trial = Trial(self.task.hold, self.config.timestep)
+        goals = np.zeros((3, n, self.task.goal_size), np.float32)
+        self._achieved, self._desired, self._shown = goals
         self._obs = torch.zeros((n, max(self.widths)), device=self.device)
         self._pending = self._obs.clone()
         self._felt = tensor(
@@ -205,43 +187,37 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         given = {i: int(seeds[i]) for i in worlds if seeds[i] is not None}
         if given:
             self._rng = np.random.default_rng([*given.values()])
-        is_own = bool(given) or self._draws is HostDraws
+            self._noise.rng.manual_seed(int(self._rng.integers(2**63)))
+        is_own = bool(given) or self._is_host
         for i in worlds if is_own else ():
             if i in given or self._rngs[i] is None:
                 self._rngs[i], _ = gym.utils.seeding.np_random(given.get(i))
         self._begin(mask, is_own)
         self._observe(*self._look(), mask, mask)
-        return self._out(self._obs_dict()), self._info()
+        return self._results(), self._info()
 
     def _begin(self, mask: Array, is_own: bool) -> None:
         """Put worlds at the start of their next episodes, from their own generators or the batch's."""
         worlds = np.flatnonzero(mask)
         if not (k := len(worlds)):
             return
-        rng = (
-            HostDraws(self._rngs[worlds])
-            if is_own
-            else OneForAll(self._rng, np.ones(k, bool))
-        )
-        item, start, observer_rng, self._task_rng = self._single.draw_start(rng)
-        is_host = self._draws is HostDraws
-        self._keys[worlds] = (
-            observer_rng.keys if is_host else observer_rng.integers(2**63)
-        )
+        rng = HostDraws(self._rngs[worlds] if is_own else self._rng, np.ones(k, bool))
+        item, start, self._observer_rng, self._task_rng = self._single.draw_start(rng)
         half_size = np.stack(item.shape.half_size, axis=-1)
         self.simulator.change_object(worlds, half_size, item.mass, item.friction)
-        place = [
-            np.broadcast_to(part, (k, *np.shape(part)[-rank:][:rank]))
-            for part, rank in zip(start, (1, 1, 0, 1), strict=True)
-        ]
-        self.simulator.reset(worlds, *place)
-        self._targets[worlds] = place[-1]
+        joints, position, yaw, targets = start
+        joints, targets = (
+            np.broadcast_to(part, (k, part.shape[-1])) for part in (joints, targets)
+        )
+        self.simulator.reset(worlds, joints, position, np.broadcast_to(yaw, k), targets)
+        self._targets[worlds] = targets
         self._steps[mask], self._over[mask], self._holding[mask] = 0, False, False
 
     def _give(self, steps: Array) -> None:
         """Let the task's giver do what is due before actions of these numbers; below 0, nothing."""
-        giving = partial(self.task.giving, steps)
-        goal, *does = _in_some(steps >= 0, [self.task], giving)
+        goal, *does = _in_some(
+            steps >= 0, [self.task], partial(self.task.giving, steps)
+        )
         sets_off, lets_go = (np.flatnonzero((steps >= 0) & part) for part in does)
         if len(sets_off):
             self.simulator.carry(sets_off, goal[sets_off])
@@ -252,30 +228,21 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """Return the state on the device, and what tasks and hold tests look at, NumPy's."""
         state = self.simulator.state(self._wants_contacts)
         state = replace(state, targets=self.simulator.tensor(self._targets))
-        contacts = state.contacts
-        if not self.task.by_contacts:  # what nobody looks at stays where it is
-            contacts = Contacts(*(part[:, :0] for part in contacts))
-        poses = state.link_positions[:, :0], state.link_rotations[:, :0]
+        positions, rotations = state.link_positions[:, :0], state.link_rotations[:, :0]
         truth = replace(
-            state,
-            contacts=contacts,
-            links=(),
-            link_positions=poses[0],
-            link_rotations=poses[1],
+            state, links=(), link_positions=positions, link_rotations=rotations
         )
-        return state, truth.map(
-            lambda part: host(part.double() if part.is_floating_point() else part)
-        )
+        return state, truth.map(host)
 
     # -- a step ------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> tuple[Obs, Any, Any, Any, dict[str, Any]]:
         """Take a step by actions (n, n_actions); see the class for worlds that are holding."""
-        actions, held = self._checked(actions), np.flatnonzero(self._holding)
-        were_holding, playing = self._holding.copy(), ~self._holding & ~self._over
+        actions, were_holding = self._checked(actions), self._holding.copy()
+        playing = ~were_holding & ~self._over
         fresh = self._over & (self._autoreset == AutoresetMode.NEXT_STEP)
-        trial = self._advance(actions, playing, held)
-        self._begin(fresh, self._draws is HostDraws)
+        self._advance(actions, playing)
+        self._begin(fresh, self._is_host)
         state, truth = self._look()
         overflowed = self.simulator.overflowed & (playing | were_holding)
         broken = (self.simulator.diverged & (playing | were_holding)) | overflowed
@@ -287,31 +254,33 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         after_step = partial(self.task.after_step, truth, is_last)
         achieved, ended = _in_some(playing, [self.task], after_step)
         self._achieved[stepped] = achieved[stepped]
-        ended = stepped & ended
         due = stepped & ~ended & self.task.is_hold_due(truth)
-        over = self._judge(held, trial, truth, broken)
-        self._hold(due, truth)
+        judge = partial(self._trial.judge, truth)
+        over, held = _in_some(were_holding, [self._trial], judge)
+        over = over & were_holding & ~broken
+        if over.any():
+            self._achieved[over] = self.task.after_hold(self._achieved, held)[over]
+        if due.any():
+            _in_some(due, [self._trial], partial(self._trial.begin, truth))
         self._holding = due | (were_holding & ~over & ~broken)
-        returned = (stepped & ~due) | over
-        terminated = ended | over
+        returned, terminated = (stepped & ~due) | over, (stepped & ended) | over
         truncated = (returned & is_last & ~terminated) | broken
-        self._show(returned | fresh)
+        self._show(returned)
         self._over = (self._over & ~fresh) | terminated | truncated
         self.n_overflowed += int(overflowed.sum())
         self.n_diverged += int((broken & ~overflowed).sum())
         goals = self._shown, self._desired
-        reward = np.where(returned, self.task.compute_reward(*goals), 0.0)
+        reward = np.where(returned, self.task.compute_reward(*goals), 0.0).astype(
+            np.float32
+        )
         success = returned & self.task.is_success(*goals)
         info = self._info(is_success=success, diverged=broken, overflowed=overflowed)
-        obs = self._obs_dict()
         if self._autoreset == AutoresetMode.SAME_STEP and self._over.any():
-            info |= {"final_obs": self._out(obs), "_final_obs": self._over.copy()}
             again = self._over.copy()
-            self._begin(again, self._draws is HostDraws)
+            info |= {"final_obs": self._results(), "_final_obs": again}
+            self._begin(again, self._is_host)
             self._observe(*self._look(), again, again)
-            obs = self._obs_dict()
-        results = map(self._out, (reward.astype(np.float32), terminated, truncated))
-        return (self._out(obs), *results, info)  # type: ignore[return-value]
+        return self._results(), *map(self._out, (reward, terminated, truncated)), info
 
     def _checked(self, actions: Any) -> Array:
         values, shape = np.asarray(host(actions), np.float64), self.action_space.shape
@@ -321,8 +290,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             raise ValueError("actions: found NaN or infinity, allowed finite numbers")
         return np.clip(values, -1.0, 1.0)
 
-    def _advance(self, actions: Array, playing: Array, held: Array) -> Trial:
-        """Run the physics of a step, and of a hold test's next look; return the tests."""
+    def _advance(self, actions: Array, playing: Array) -> None:
+        """Run the physics of a step, and of a hold test until its next look."""
         self._steps[playing] += 1
         self._targets[playing] = self.hand.action_map(actions, self._targets)[playing]
         self._give(np.where(playing, self._steps, -1))
@@ -330,97 +299,62 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             np.where(playing, self.config.n_substeps, 0),
             self._targets.copy(),
         )
-        trial, creep = (
-            Trial(*(part[held] for part in self._trial)),
-            np.ones(self.num_envs),
+        holding, trial = self._holding, self._trial
+        self.simulator.set_creep(np.where(holding, trial.creep, 1.0))
+        n_substeps = np.where(
+            holding, _in_some(holding, [trial], trial.rise), n_substeps
         )
-        creep[held] = self.task.hold.creep_in(trial)
-        self.simulator.set_creep(creep)
-        trial, n_substeps[held] = self.task.hold.rise(trial, self.config.timestep)
-        targets[held, 2] = trial.slide
-        self.simulator.step(targets, n_substeps)
+        targets[:, 2] = np.where(holding, trial.slide, targets[:, 2])
+        self.simulator.step(targets, n_substeps.astype(int))
         self.simulator.check()
-        return trial
-
-    def _judge(self, held: Array, trial: Trial, truth: State, broken: Array) -> Array:
-        """Look at the objects of worlds that hold; return whose tests are over, bool (n,)."""
-        trial, is_over, is_held = self.task.hold.judge(
-            trial, truth.map(itemgetter(held))
-        )
-        over = np.zeros(self.num_envs, bool)
-        over[held] = is_over & ~broken[held]
-        self._remember(held, trial)
-        ends = np.where(is_held[:, None], self._held[held], self._lost[held])
-        self._achieved[over] = ends[over[held]]
-        return over
-
-    def _remember(self, worlds: Array, trial: Trial) -> None:
-        for whole, part in zip(self._trial, trial, strict=True):
-            whole[worlds] = part
-
-    def _hold(self, due: Array, truth: State) -> None:
-        """Begin hold tests in worlds."""
-        if due.any():
-            self._held[due], self._lost[due] = (
-                self.task.after_hold(truth, np.full(len(due), is_held))[due]
-                for is_held in (True, False)
-            )
-            self._remember(
-                due,
-                self.task.hold.begin(truth.map(itemgetter(due)), self.config.timestep),
-            )
 
     def _observe(self, state: State, truth: State, which: Array, first: Array) -> Array:
         """Compute the observations of some worlds, the first of their episodes or not.
 
         Return bool (n,): whose are broken.
         """
-        shared, chosen = self._observer, torch.as_tensor(which, device=self.device)
+        shared, taxel_rng = self._observer, None
         senses = [*shared.senses, shared.past]
-        taxel_rng: Any = None
         if first.any():
-            draws = self._draws(self._keys, first, self.simulator.tensor)
-            sight, joints, taxel_rng = draws.spawn(3)
+            rng: Any = self._noise
+            if self._is_host:
+                rng = self._observer_rng.over(first, self.simulator.tensor)
+            sight, joints, taxel_rng = rng.spawn(3)
             _in_some(first, senses, partial(shared.reset_senses, sight, joints))
-            goals = _in_some(
-                first,
-                [self.task],
-                partial(self.task.reset, truth, self._task_rng.over(first)),
-            )
-            for mine, goal in zip((self._achieved, self._desired), goals, strict=True):
+            reset = partial(self.task.reset, truth, self._task_rng.over(first))
+            for mine, goal in zip(
+                (self._achieved, self._desired),
+                _in_some(first, [self.task], reset),
+                strict=True,
+            ):
                 mine[first] = np.broadcast_to(goal, mine.shape)[first]
             self._position[first] = truth.object_position[first]
             self._give(np.where(first, 0, -1))
         entries = _in_some(which, senses, partial(shared.sense, state))
-        pending = torch.zeros_like(self._obs)
-        pending[:, : entries.shape[1]] = entries
+        pending, begin = torch.zeros_like(self._obs), entries.shape[1]
+        pending[:, :begin] = entries
         for member in self._members:
             told = member.feel(state, which, first, taxel_rng, self._felt)
-            pending[
-                member.index, entries.shape[1] : entries.shape[1] + told.shape[1]
-            ] = told.float()
-        self._pending = torch.where(chosen[:, None], pending, self._pending)
-        largest = host(self._pending.abs().amax(1))
+            pending[member.worlds, begin : begin + told.shape[1]] = told.float()
+        self._pending = _where(which, pending, self._pending)
         self._show(first)
-        return which & ~(largest < LIMIT)
+        return which & ~(host(self._pending.abs().amax(1)) < LIMIT)
 
     def _show(self, which: Array) -> None:
-        chosen = torch.as_tensor(which, device=self.device)
-        self._obs = torch.where(chosen[:, None], self._pending, self._obs)
+        self._obs = _where(which, self._pending, self._obs)
         self._shown[which] = self._achieved[which]
 
     # -- what comes out ----------------------------------------------------------------------
 
-    def _obs_dict(self) -> Obs:
+    def _results(self) -> Obs:
         goals = {
             "achieved_goal": self._shown.copy(),
             "desired_goal": self._desired.copy(),
         }
-        return {"observation": self._obs, **goals}
+        obs: dict[str, Any] = {"observation": self._obs, **goals}
+        return {key: self._out(value) for key, value in obs.items()}
 
     def _out(self, value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: self._out(part) for key, part in value.items()}
         return (
             host(value) if self._numpy else torch.as_tensor(value, device=self.device)
         )
@@ -447,11 +381,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
 
 class _Member(NamedTuple):
-    """Hold the worlds of one layout and kind of touch."""
+    """Hold the worlds (k,) of one layout and kind of touch."""
 
     worlds: Array
-    index: Tensor
-    """The worlds' indices (k,), NumPy's and on the device."""
     n_taxels: int
     rule: Any
     """Touch rule; None where nothing is felt."""
@@ -460,7 +392,7 @@ class _Member(NamedTuple):
     def feel(
         self, state: State, which: Array, first: Array, rng: Any, felt: Tensor
     ) -> Tensor:
-        """Return what policies are told of the taxels; put what these felt into `felt` (n, most taxels)."""
+        """Return what policies are told of the taxels; put what these felt into `felt` (n, most)."""
         things = [*self.observer.stages, *([self.rule] if self.rule else [])]
         which, first = which[self.worlds], first[self.worlds]
         if first.any():
@@ -473,10 +405,11 @@ class _Member(NamedTuple):
             self.rule.reset()
 
     def _read(self, state: State, felt: Tensor) -> Tensor:
+        worlds = torch.as_tensor(self.worlds, device=felt.device)
         if self.rule:
-            readings = self.rule.read(state.map(itemgetter(self.index)))
-            felt[self.index, : self.n_taxels] = readings.to(felt.dtype)
-        told: Any = self.observer.feel(felt[self.index, : self.n_taxels])  # type: ignore[arg-type]
+            readings = self.rule.read(state.map(itemgetter(worlds)))
+            felt[worlds, : self.n_taxels] = readings.to(felt.dtype)
+        told: Any = self.observer.feel(felt[worlds, : self.n_taxels])  # type: ignore[arg-type]
         return told  # type: ignore[no-any-return]
 
 
@@ -522,12 +455,11 @@ def _in_some(which: Array, things: Iterable[Any], act: Callable[[], T]) -> T:
 
 def _where(which: Array, new: Any, old: Any) -> Any:
     """Return the new value of some worlds, and the old of the others."""
-    if new is old:
-        return new
     if isinstance(new, HostDraws):
-        new.keys = np.where(which, new.keys, old.keys)
-        new.counts = np.where(which, new.counts, old.counts)
-    if not isinstance(new, bool | int | float | np.generic | Array | Tensor):
+        new.rng = np.where(which, new.rng, old.rng)
+    if new is old or not isinstance(
+        new, bool | int | float | np.generic | Array | Tensor
+    ):
         return new
     mask: Any = which.reshape(-1, *[1] * (max(np.ndim(new), np.ndim(old)) - 1))
     for value in (new, old):
@@ -539,105 +471,83 @@ def _where(which: Array, new: Any, old: Any) -> Any:
 # -- draws -----------------------------------------------------------------------------------
 
 
-class OneForAll:
-    """A generator that draws for many episodes at once; zeros where `which` (n,) is False."""
-
-    def __init__(self, rng: np.random.Generator, which: Array) -> None:
-        """Take the generator."""
-        self._rng, self.which = rng, which
-
-    def over(self, which: Array) -> OneForAll:
-        """Return what draws for those of all worlds."""
-        return OneForAll(self._rng, which)
-
-    def spawn(self, n: int) -> list[OneForAll]:
-        """Return itself: all come from one generator."""
-        return [self] * n
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a method of generators with a leading axis; `size`, without it, is a keyword."""
-        return partial(self._draw, name)
-
-    def _draw(self, name: str, *bounds: Any, size: Any = (), **options: Any) -> Array:
-        rows = (int(self.which.sum()), *np.empty(size).shape)
-        drawn = getattr(self._rng, name)(*bounds, size=rows, **options)
-        whole = np.zeros((len(self.which), *rows[1:]), drawn.dtype)
-        whole[self.which] = drawn
-        return whole
-
-
 class HostDraws:
-    """Generators (n,) as one: each draws a row, the numbers of `GraspEnv`; zeros where `which` is False."""
+    """NumPy's generators for many episodes: what they draw has a leading axis, zeros off `which` (n,).
+
+    Each episode has its own (n,), and draws the numbers of `GraspEnv`, or one draws for all at once.
+    """
 
     def __init__(
-        self,
-        keys: Array,
-        which: Array | None = None,
-        convert: Callable[[Any], Any] = np.asarray,
+        self, rng: Any, which: Array, convert: Callable[[Any], Any] = np.asarray
     ) -> None:
-        """Take the generators, and what makes of arrays what is wanted."""
-        self.keys, self._convert = keys, convert
-        self.which = np.ones(len(keys), bool) if which is None else which
-        self.counts = np.zeros(len(keys), np.int64)
+        """Take the generators or generator, and what makes of arrays what is wanted."""
+        self.rng, self.which, self._convert = rng, which, convert
+        self._is_one = isinstance(rng, np.random.Generator)
 
     def at(self, worlds: Array) -> HostDraws:
-        """Return what draws for some of these worlds."""
-        return type(self)(self.keys[worlds], self.which[worlds], self._convert)
+        """Return what draws for these of the episodes."""
+        return HostDraws(self.rng[worlds], self.which[worlds], self._convert)
 
-    def over(self, which: Array) -> HostDraws:
-        """Return what draws for those of all worlds."""
-        keys = np.full(len(which), None)
-        keys[which] = self.keys
-        return HostDraws(keys, which)
+    def over(
+        self, which: Array, convert: Callable[[Any], Any] = np.asarray
+    ) -> HostDraws:
+        """Return what draws for the same episodes as those of `which` (m,) among more."""
+        rng = self.rng
+        if not self._is_one:
+            rng = np.full(len(which), None)
+            rng[which] = self.rng
+        return HostDraws(rng, which, convert)
 
     def spawn(self, n: int) -> list[HostDraws]:
         """Return draws that are independent of these and of each other."""
-        children = np.full((n, len(self.keys)), None)
+        if self._is_one:
+            return [self] * n
+        children = np.full((n, len(self.rng)), None)
         for i in np.flatnonzero(self.which):
-            children[:, i] = self.keys[i].spawn(n)
-        return [HostDraws(keys, self.which, self._convert) for keys in children]
+            children[:, i] = self.rng[i].spawn(n)
+        return [HostDraws(child, self.which, self._convert) for child in children]
 
     def __getattr__(self, name: str) -> Any:
-        """Return a method of generators with a leading axis; `size`, without it, is a keyword."""
+        """Return a method of generators; `size`, without the leading axis, is a keyword."""
         return partial(self._draw, name)
 
     def _draw(self, name: str, *bounds: Any, size: Any = (), **options: Any) -> Any:
-        whole = np.zeros((len(self.keys), *np.empty(size).shape))
-        for i in np.flatnonzero(self.which):
-            whole[i] = getattr(self.keys[i], name)(*bounds, size=size, **options)
+        shape = np.empty(size).shape
+        whole = np.zeros((len(self.which), *shape))
+        if self._is_one:
+            size = (int(self.which.sum()), *shape)
+            whole[self.which] = getattr(self.rng, name)(*bounds, size=size, **options)
+        else:
+            for i in np.flatnonzero(self.which):
+                whole[i] = getattr(self.rng[i], name)(*bounds, size=size, **options)
         return self._convert(whole)
 
 
-class DeviceDraws(HostDraws):
-    """Numbers from a counter and an episode's key, hashed where they are needed (SplitMix64)."""
+class DeviceDraws(NamedTuple):
+    """PyTorch's generator for what stages draw in many worlds, with a leading axis."""
 
-    def spawn(self, n: int) -> list[HostDraws]:
-        """Return draws with other keys."""
-        keys = torch.as_tensor(self.keys)
-        others = (host(_mixed(keys + number)) for number in range(1, n + 1))
-        return [DeviceDraws(other, self.which, self._convert) for other in others]
+    rng: torch.Generator
+    n: int
+    dtype: torch.dtype
 
-    def random(self, size: Any) -> Tensor:
+    def at(self, worlds: Array) -> DeviceDraws:
+        """Return what draws for these of the worlds."""
+        return self._replace(n=len(worlds))
+
+    def spawn(self, n: int) -> list[DeviceDraws]:
+        """Return the same, several times."""
+        return [self] * n
+
+    def random(self, size: int) -> Tensor:
         """Return even numbers from 0 to 1, (n, size)."""
-        self.counts = self.counts + self.which
-        like, (width,) = self._convert(0.0), np.empty(size).shape
-        starts = torch.as_tensor(self.keys + (self.counts << 20), device=like.device)
-        steps = torch.arange(width, device=like.device) * -7046029254386353131
-        bits = _mixed(starts[:, None] + steps)
-        return (((bits >> 11) & 0x1FFFFFFFFFFFFF).double() * 2.0**-53).to(like.dtype)
+        shape = (self.n, size)
+        return torch.rand(
+            shape, generator=self.rng, device=self.rng.device, dtype=self.dtype
+        )
 
     def standard_normal(self, size: int) -> Tensor:
-        """Return numbers of the standard normal distribution, (n, size), by Box and Muller."""
-        even = self.random(2 * size)
-        radius = (-2 * torch.log1p(-even[:, :size])).sqrt()
-        return radius * torch.cos(2 * torch.pi * even[:, size:])
-
-
-_DRAWS = {"host": HostDraws, "device": DeviceDraws}
-
-
-def _mixed(x: Tensor) -> Tensor:
-    """Return int64 whose bits depend on all bits of x (SplitMix64's last steps)."""
-    for shift, factor in ((30, -4658895280553007687), (27, -7723592293110705685)):
-        x = (x ^ ((x >> shift) & ((1 << (64 - shift)) - 1))) * factor
-    return x ^ ((x >> 31) & ((1 << 33) - 1))
+        """Return numbers of the standard normal distribution, (n, size)."""
+        shape = (self.n, size)
+        return torch.randn(
+            shape, generator=self.rng, device=self.rng.device, dtype=self.dtype
+        )

@@ -261,11 +261,8 @@ class GraspEnv(gym.Env[Any, Array]):
             yaw = rng.uniform(-config.start_yaw, config.start_yaw)
             n_fingers = len(joints[hands.FINGERS])
             fingers = rng.uniform(-JITTER_JOINT, JITTER_JOINT, size=n_fingers)
-            fingers = joints[hands.FINGERS] + fingers
-            arm = np.broadcast_to(
-                joints[hands.ARM], (*fingers.shape[:-1], len(joints) - n_fingers)
-            )
-            joints = np.concatenate([arm, fingers], axis=-1)
+            still = np.zeros((*fingers.shape[:-1], len(joints) - n_fingers))
+            joints = joints + np.concatenate([still, fingers], axis=-1)
             joints = np.clip(joints, *self.simulator.joint_limits.T)
         place = np.broadcast_arrays(offset[..., 0], offset[..., 1], shape.half_size[2])
         return tasks.Start(
@@ -301,7 +298,7 @@ class GraspEnv(gym.Env[Any, Array]):
             achieved, terminated = self.task.after_step(self.state, is_last)
             if not terminated and self.task.is_hold_due(self.state):
                 is_held = self.task.hold.run(self.simulator, self.state)
-                achieved = self.task.after_hold(self.state, is_held)
+                achieved = self.task.after_hold(achieved, is_held)
                 terminated = True
         except SimulationError as error:
             obs = {key: value.copy() for key, value in self._obs.items()}

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -62,92 +62,98 @@ class HoldTest:
         Joint targets stay as they are, but for the slide that rises. Leaves the simulator wherever the
         test ended.
         """
-        timestep, targets = simulator.scene.timestep, state.targets.copy()
-        trial, is_over, is_held = self.begin(state, timestep), False, False
+        trial, targets = Trial(self, simulator.scene.timestep), state.targets.copy()
+        trial.begin(state)
+        is_over = is_held = False
         try:
             while not is_over:
-                simulator.set_creep(float(self.creep_in(trial)))
-                trial, n_substeps = self.rise(trial, timestep)
+                simulator.set_creep(float(trial.creep))
+                n_substeps = trial.rise()
                 targets[2] = trial.slide
                 simulator.step(targets, int(n_substeps))
-                trial, is_over, is_held = self.judge(trial, simulator.state())
+                is_over, is_held = trial.judge(simulator.state())
         finally:
             simulator.set_creep(1.0)
         return bool(is_held)
 
-    def begin(self, state: State, timestep: float) -> Trial:
-        """Return a test that begins in this state, or one in each of many.
 
-        It starts from where the slide is, not from its target: the hand may lag far behind that.
-        """
-        slide = state.joint_positions[..., 2]
-        top = slide + self.height - state.palm[..., 2]
-        left = max(1, round(self.seconds / timestep)) + 0 * slide
-        return Trial(slide, top, 0 * slide, left, _corners(state))
+class Trial:
+    """A hold test on its way, or one in each of many scenes: its arrays then have a leading axis."""
 
-    def rise(self, trial: Trial, timestep: float) -> tuple[Trial, Array]:
-        """Return the test with the slide's next target, and the number of timesteps to the next look."""
-        n_substeps = max(1, round(self.look_every / timestep))
-        furthest = RAISE_SPEED * timestep * n_substeps
-        is_rising = (
-            trial.slide != trial.top
-        )  # the palm does not turn, but rise and stay
-        slide = trial.slide + np.clip(trial.top - trial.slide, -furthest, furthest)
-        n = np.where(is_rising, n_substeps, np.minimum(n_substeps, trial.left))
-        left = np.where(is_rising, trial.left, trial.left - n)
-        return trial._replace(slide=slide, look=trial.look + 1, left=left), n
+    slide: Any = np.nan
+    """Target of the slide that rises, m."""
+    _top: Any = np.nan
+    _n_looks: Any = 0
+    _n_left: Any = 0  # timesteps at the top
+    _corners: Any = np.nan
 
-    def judge(self, trial: Trial, state: State) -> tuple[Trial, Array, Array]:
-        """Return the test after a look at the object, whether it is over, and whether it was held."""
-        away, is_at_top = (
-            np.linalg.norm(state.object_position - state.palm, axis=-1),
-            trial.slide == trial.top,
+    def __init__(self, test: HoldTest, timestep: float) -> None:
+        """Take the test, and the physics step, s."""
+        self._test = test
+        self._n_substeps = max(1, round(test.look_every / timestep))
+        self._n_at_top = max(1, round(test.seconds / timestep))
+        self._furthest = RAISE_SPEED * timestep * self._n_substeps
+
+    def begin(self, state: State) -> None:
+        """Begin from where the slide is, not from its target: the hand may lag far behind that."""
+        self.slide = state.joint_positions[..., 2]
+        self._top = self.slide + self._test.height - state.palm[..., 2]
+        self._n_looks, self._n_left, self._corners = 0, self._n_at_top, _corners(state)
+
+    def rise(self) -> Array:
+        """Set the slide's next target; return the number of timesteps to the next look."""
+        is_rising = self.slide != self._top  # the palm does not turn, but rise and stay
+        way = np.clip(self._top - self.slide, -self._furthest, self._furthest)
+        n = np.where(
+            is_rising, self._n_substeps, np.minimum(self._n_substeps, self._n_left)
         )
-        is_lost = ~(away <= self.out_of_reach)
-        is_held = is_at_top & (trial.left == 0)
-        if self.verdict == "settled":
-            corners, compressed = _corners(state), self._compressed(trial)
+        self.slide = self.slide + way
+        self._n_left = self._n_left - np.where(is_rising, 0, n)
+        self._n_looks = self._n_looks + 1
+        return n
+
+    def judge(self, state: State) -> tuple[Array, Array]:
+        """Look at the object; return whether the test is over, and whether the object was held."""
+        test, in_hand = self._test, state.object_position - state.palm
+        is_lost = ~(np.linalg.norm(in_hand, axis=-1) <= test.out_of_reach)
+        is_at_top = self.slide == self._top
+        is_held = is_at_top & (self._n_left == 0)
+        if test.verdict == "settled":
+            before, self._corners = self._corners, _corners(state)
             speed = (
-                np.linalg.norm(corners - trial.corners, axis=-1).max(-1)
-                / self.look_every
+                np.linalg.norm(self._corners - before, axis=-1).max(-1)
+                / test.look_every
             )
-            trial = trial._replace(corners=corners)
-            whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
-            left = np.maximum(0.0, whole - compressed)
-            # In the hand it moves so little that it will not get far, or time is up.
-            is_at_rest = speed * (left + self.look_every) < self.settle_distance
-            is_at_rest &= state.clearance > CLEARANCE
-            is_held |= (compressed > 0) & (is_at_rest | is_at_top & (left == 0))
-        return trial, is_lost | is_held, is_held & ~is_lost
+            whole = (test.seconds + test.height / RAISE_SPEED) / test.creep
+            left = np.maximum(0.0, whole - self._compressed)
+            # It moves so little in the hand that it will not get far, or time is up.
+            is_at_rest = speed * (left + test.look_every) < test.settle_distance
+            is_at_rest = is_at_rest & (state.clearance > CLEARANCE)
+            is_held = is_held | (self._compressed > 0) & (
+                is_at_rest | is_at_top & (left == 0)
+            )
+        return is_lost | is_held, is_held & ~is_lost
 
-    def creep_in(self, trial: Trial) -> Array:
-        """Return by which factor creep is sped up now."""
-        is_fast = (self.verdict == "settled") & (self._compressed(trial) >= 0)
-        return np.where(is_fast, self.creep, 1.0)
+    @property
+    def creep(self) -> Array:
+        """Factor by which creep is sped up now."""
+        is_fast = (self._test.verdict == "settled") & (self._compressed >= 0)
+        return np.where(is_fast, self._test.creep, 1.0)
 
-    def _compressed(self, trial: Trial) -> Array:
-        """Return the time since creep was sped up, s."""
+    @property
+    def _compressed(self) -> Any:
+        """Time since creep was sped up, s."""
+        test = self._test
         return (
-            trial.look - round(self.shake_seconds / self.look_every)
-        ) * self.look_every
-
-
-class Trial(NamedTuple):
-    """A hold test on its way, or one in each of many scenes."""
-
-    slide: Array
-    """Target (...) of the slide that rises, m."""
-    top: Array
-    """Where it stays then (...), m."""
-    look: Array
-    """Number of looks at the object (...)."""
-    left: Array
-    """Number of timesteps left at the top (...)."""
-    corners: Array
-    """Corners (..., 8, 3) of the object's bounding box relative to the palm, m; they show turns."""
+            self._n_looks - round(test.shake_seconds / test.look_every)
+        ) * test.look_every
 
 
 def _corners(state: State) -> Array:
-    scaled = CORNERS * np.stack(state.shape.half_size, axis=-1)[..., None, :]
-    in_hand = state.object_position - state.palm
-    return in_hand[..., None, :] + scaled @ state.object_rotation.swapaxes(-1, -2)
+    """Return corners (..., 8, 3) of the object's bounding box relative to the palm, m; they show turns."""
+    axes = (
+        state.object_rotation * np.stack(state.shape.half_size, axis=-1)[..., None, :]
+    )
+    corners = axes.reshape(-1, 3) @ CORNERS.T
+    corners = corners.reshape(*axes.shape[:-1], 8).swapaxes(-1, -2)
+    return (state.object_position - state.palm)[..., None, :] + corners

@@ -106,6 +106,8 @@ class Task(ABC):
     """Spring that carries the object before the hand has it; None where nobody does."""
     goal_size: int
     """Length of achieved and desired goals."""
+    lost: Outcome = "missed"
+    """Outcome where the hold test fails."""
     only_goal: Array | None = None
     """Desired goal (goal_size,) of every episode; None where they differ."""
     observation_terms: Mapping[str, Term] = MappingProxyType({})
@@ -181,12 +183,10 @@ class Task(ABC):
         """Tell whether the hold test decides the episode now, after a step that did not end it."""
         return False
 
-    def after_hold(self, state: State, is_held: Any) -> Array:
-        """Return the goal achieved (..., goal_size) in an episode that a hold test has ended.
-
-        `state` is that of before the test.
-        """
-        raise NotImplementedError
+    def after_hold(self, achieved_goal: Array, is_held: Any) -> Array:
+        """Return the goal achieved in an episode that a hold test has ended, from that of its last step."""
+        outcome = np.where(is_held, OUTCOMES["held"], OUTCOMES[self.lost])
+        return np.concatenate([achieved_goal[..., :-1], outcome[..., None]], axis=-1)
 
     @abstractmethod
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
@@ -261,7 +261,7 @@ class LiftAndHold(Task):
     """
 
     is_batched = True
-    rewards = ("staged",)
+    rewards, lost = ("staged",), "dropped"
     options = ("lift_clearance",)
     max_episode_steps = 100
     finger_weight: ClassVar[float] = 0.2
@@ -298,12 +298,6 @@ class LiftAndHold(Task):
     def is_hold_due(self, state: State) -> Any:
         """Tell whether the object is lifted."""
         return state.clearance > self.config.lift_clearance
-
-    def after_hold(self, state: State, is_held: Any) -> Array:
-        """Return the distances and whether the object was held or dropped."""
-        return self._achieved(
-            state, np.where(is_held, OUTCOMES["held"], OUTCOMES["dropped"])
-        )
 
     def _achieved(self, state: State, outcome: Any) -> Array:
         points = np.concatenate([state.palm[..., None, :], state.fingertips], axis=-2)
@@ -426,10 +420,6 @@ class Handover(Task):
     def is_hold_due(self, state: State) -> Any:
         """Tell whether the giver let go long enough ago."""
         return self._since_letting_go >= self.settles
-
-    def after_hold(self, state: State, is_held: Any) -> Array:
-        """Return the outcome: held or missed."""
-        return np.where(is_held, OUTCOMES["held"], OUTCOMES["missed"])[..., None]
 
     @property
     def _since_letting_go(self) -> Any:

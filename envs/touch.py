@@ -126,42 +126,30 @@ class SkinTouch(Rule):
     is_batched = True
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        """Find the points of each taxel's skin; taxels on one phalanx share them."""
+        """Find the points of each taxel's skin, of which those on one phalanx share all."""
         surfaces = [hand.surfaces[index] for index in taxels.surfaces]
         self._shaped = _Shaped(taxels, surfaces)
-        points, links = [*taxels.positions], [*taxels.link_index]
-        reaches = taxels.radii.tolist()
-        skins: dict[int | str, list[int]] = {}  # indices of points, by link or taxel
-        keys = [
-            taxel if surface.bone is None or surface.geoms else surface.link
-            for taxel, surface in enumerate(surfaces)
+        own = np.column_stack([taxels.link_index, taxels.positions, taxels.radii])
+        rows = [
+            np.array([(row[0], *point, reach) for point in points])
+            for row, surface, normal in zip(own, surfaces, taxels.normals, strict=True)
+            for points, reach in [_skin(surface, row[1:4], normal, row[4])]
         ]
-        for taxel, (key, surface) in enumerate(zip(keys, surfaces, strict=True)):
-            if key in skins:
-                continue
-            skin, reach = _skin(
-                surface,
-                *(v[taxel] for v in (taxels.positions, taxels.normals, reaches)),
-            )
-            skins[key] = [*range(len(points), len(points) + len(skin))]
-            points += [*skin]
-            links += [links[taxel]] * len(skin)
-            reaches += [reach] * len(skin)
-        longest = max(map(len, skins.values()))
-        padded = {
-            key: skin + skin[-1:] * (longest - len(skin)) for key, skin in skins.items()
-        }
-        self._skins = np.array([*padded.values()])
-        self._skin_of_taxel = np.array([[*skins].index(key) for key in keys])
-        self._points = LinkPoints(taxels.links, np.array(links), np.array(points))
-        self._squared_reaches = np.array(reaches) ** 2
+        longest = np.arange(max(map(len, rows)))
+        skins = [skin[np.minimum(longest, len(skin) - 1)] for skin in rows]
+        both = np.concatenate([own[:, None], skins], axis=1)  # a taxel, then its skin
+        points, index = np.unique(both.reshape(-1, 5), axis=0, return_inverse=True)
+        self._index = index.reshape(both.shape[:2])
+        self._points = LinkPoints(
+            taxels.links, points[:, 0].astype(int), points[:, 1:4]
+        )
+        self._squared_reaches = points[:, 4] ** 2
 
     def read(self, state: State) -> Array:
         """Return which taxels are on, bool (..., n_taxels)."""
         distances = state.shape.squared_distance(self._points.local(state))
-        is_near = distances <= self._squared_reaches
-        touches = is_near[..., self._skins].any(-1)[..., self._skin_of_taxel]
-        is_on: Array = is_near[..., : touches.shape[-1]] & touches
+        is_near = (distances <= self._squared_reaches)[..., self._index]
+        is_on: Array = is_near[..., 0] & is_near[..., 1:].any(-1)
         self._shaped.correct(is_on, state)
         return is_on
 

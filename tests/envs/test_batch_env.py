@@ -10,7 +10,7 @@ import tactilerl
 import torch
 from gymnasium.vector import AutoresetMode
 from tactilerl import envs
-from tactilerl.envs.batch import BatchEnv, DeviceDraws, HostDraws, OneForAll
+from tactilerl.envs.batch import BatchEnv, HostDraws
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
 NOISY = dict(object_seen="noisy", joint_noise=0.02, joint_noise_held=0.05, slide_noise=0.001)
@@ -174,19 +174,19 @@ def test_autoreset_goes_on_as_grasp_env_does(mode: AutoresetMode) -> None:
     np.testing.assert_allclose(obs["observation"][0], again["observation"], atol=1e-5)
 
 
-def test_device_draws_are_a_worlds_own_and_even() -> None:
-    def drawn(seeds: list[int], n: int) -> Any:
-        draws = DeviceDraws(
-            np.array(seeds), convert=lambda values: torch.as_tensor(values, dtype=torch.float64)
-        )
-        return np.stack([draws.standard_normal(size=25).numpy() for _ in range(n)])
+def test_noise_of_the_device_is_the_seeds() -> None:
+    """And not the same in two worlds, episodes or steps."""
+    first = config("mpl", layout="5", object_seen="noisy", joint_noise=0.02, jitter=False)
 
-    values = drawn(list(range(40)), 50)
-    assert abs(values.mean()) < 0.02
-    assert abs(values.std() - 1) < 0.02
-    assert abs(np.corrcoef(values[:, 0].ravel(), values[:, 1].ravel())[0, 1]) < 0.1
-    assert abs(np.corrcoef(values[:-1].ravel(), values[1:].ravel())[0, 1]) < 0.02
-    assert (drawn([3], 50)[:, 0] == values[:, 3]).all()
+    def told() -> Any:
+        batch: Any = BatchEnv("mpl", [(first, 2)], "loop", numpy=True, draws="device")
+        obs = [batch.reset(seed=[3, 3])[0], batch.reset()[0], batch.step(np.zeros((2, 1)))[0]]
+        return np.concatenate([part["observation"][:, 4:7] for part in obs])  # where it is seen
+
+    values = told()
+    np.testing.assert_array_equal(values, told())
+    assert len(np.unique(values, axis=0)) == 6
+    assert 0.002 < values.std(axis=0).min() < values.std(axis=0).max() < 0.03
 
 
 @pytest.mark.parametrize(
@@ -274,8 +274,9 @@ def test_starts_drawn_at_once_are_spread_like_those_of_grasp_env(task: Any) -> N
         item, start, _, _ = env.draw_start(rng)
         return np.column_stack([*item.shape.half_size, item.mass, item.friction, *start[:3]])
 
-    got = drawn(OneForAll(np.random.default_rng(0), np.ones(2000, bool)))
-    want = drawn(HostDraws(np.array([np.random.default_rng(seed) for seed in range(400)])))
+    got = drawn(HostDraws(np.random.default_rng(0), np.ones(2000, bool)))
+    each = np.array([np.random.default_rng(seed) for seed in range(400)])
+    want = drawn(HostDraws(each, np.ones(400, bool)))
     for at in (np.min, np.mean, np.max):
         difference = np.abs(at(got, axis=0) - at(want, axis=0))
         assert (difference <= 0.1 * np.ptp(want, axis=0) + 1e-12).all()
