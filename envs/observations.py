@@ -167,11 +167,11 @@ TERMS = {
 # Random numbers are drawn with the keyword `size`, which leaves leading axes out (`batch.Draws`).
 
 
-def _or_at_start(remembered: Any, value: Array) -> Array:
+def _or_at_start(remembered: Any, value: Array) -> Any:
     """Return what is remembered (..., n), and `value` where that is NaN: nothing yet."""
-    remembered = remembered + 0.0 * value
-    known: Array = namespace(value).where(remembered == remembered, remembered, value)
-    return known
+    if isinstance(remembered, float):
+        return value
+    return namespace(value).where(remembered == remembered, remembered, value)
 
 
 class Stage(ABC):
@@ -244,11 +244,12 @@ class Past(Stage):
 
     def _remember(self, reading: Array) -> Array:
         """Return the readings (..., n, m) with a new one."""
-        xp = namespace(reading)
-        now = xp.stack([reading] * self._n, axis=-2)
-        before = _or_at_start(self._readings, now)[..., :-1, :]
-        self._readings = xp.concatenate([now[..., :1, :], before], axis=-2)
-        return self._readings
+        xp, now = namespace(reading), reading[..., None, :]
+        before = [now] * (self._n - 1)
+        if not isinstance(self._readings, float):
+            before = [_or_at_start(self._readings[..., :-1, :], now)]
+        self._readings: Any = xp.concatenate([now, *before], axis=-2)
+        return self._readings  # type: ignore[no-any-return]
 
 
 class Delay(Past):

@@ -139,7 +139,7 @@ class SkinTouch(Rule):
         skins = [skin[np.minimum(longest, len(skin) - 1)] for skin in rows]
         both = np.concatenate([own[:, None], skins], axis=1)  # a taxel, then its skin
         points, index = np.unique(both.reshape(-1, 5), axis=0, return_inverse=True)
-        self._index = index.reshape(both.shape[:2])
+        self._index = index.reshape(both.shape[:2]).T
         self._points = LinkPoints(
             taxels.links, points[:, 0].astype(int), points[:, 1:4]
         )
@@ -149,7 +149,7 @@ class SkinTouch(Rule):
         """Return which taxels are on, bool (..., n_taxels)."""
         distances = state.shape.squared_distance(self._points.local(state))
         is_near = (distances <= self._squared_reaches)[..., self._index]
-        is_on: Array = is_near[..., 0] & is_near[..., 1:].any(-1)
+        is_on: Array = is_near[..., 0, :] & is_near[..., 1:, :].any(-2)
         self._shaped.correct(is_on, state)
         return is_on
 
