@@ -22,7 +22,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from . import tasks, touch
-from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv
+from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv, checked
 from .hold import Trial
 from .objects import host
 from .observations import Observer
@@ -215,14 +215,14 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def _give(self, steps: Array) -> None:
         """Let the task's giver do what is due before actions of these numbers; below 0, nothing."""
+        if self.task.giver is None:
+            return
         goal, *does = _in_some(
             steps >= 0, [self.task], partial(self.task.giving, steps)
         )
         sets_off, lets_go = (np.flatnonzero((steps >= 0) & part) for part in does)
-        if len(sets_off):
-            self.simulator.carry(sets_off, goal[sets_off])
-        if len(lets_go):
-            self.simulator.let_go(lets_go)
+        self.simulator.carry(sets_off, goal[sets_off])
+        self.simulator.let_go(lets_go)
 
     def _look(self) -> tuple[State, State]:
         """Return the state on the device, and what tasks and hold tests look at, NumPy's."""
@@ -238,7 +238,10 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def step(self, actions: Any) -> tuple[Obs, Any, Any, Any, dict[str, Any]]:
         """Take a step by actions (n, n_actions); see the class for worlds that are holding."""
-        actions, were_holding = self._checked(actions), self._holding.copy()
+        actions, were_holding = (
+            checked(host(actions), self.action_space),
+            self._holding.copy(),
+        )
         playing = ~were_holding & ~self._over
         fresh = self._over & (self._autoreset == AutoresetMode.NEXT_STEP)
         self._advance(actions, playing)
@@ -281,14 +284,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             self._begin(again, self._is_host)
             self._observe(*self._look(), again, again)
         return self._results(), *map(self._out, (reward, terminated, truncated)), info
-
-    def _checked(self, actions: Any) -> Array:
-        values, shape = np.asarray(host(actions), np.float64), self.action_space.shape
-        if values.shape != shape:
-            raise ValueError(f"actions: found shape {values.shape}, allowed {shape}")
-        if not np.isfinite(values).all():
-            raise ValueError("actions: found NaN or infinity, allowed finite numbers")
-        return np.clip(values, -1.0, 1.0)
 
     def _advance(self, actions: Array, playing: Array) -> None:
         """Run the physics of a step, and of a hold test until its next look."""

@@ -27,6 +27,7 @@ from .state import Array, State
 from .tasks import TaskConfig
 from .validation import blamed, require_known, require_one_of
 
+Step = tuple[dict[str, Array], float, bool, bool, dict[str, Any]]
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
@@ -109,6 +110,16 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
         require_known(usual, known)
     require_known(choices, known)
     return GraspConfig(**{**usual, **choices})
+
+
+def checked(action: Any, space: gym.Space[Any]) -> Array:
+    """Return an action, or those of many worlds, within [-1, 1]; ValueError for one of no such shape."""
+    action = np.asarray(action, np.float64)
+    if action.shape != space.shape:
+        raise ValueError(f"action: found shape {action.shape}, allowed {space.shape}")
+    if not np.isfinite(action).all():
+        raise ValueError("action: found NaN or infinity, allowed finite numbers")
+    return np.clip(action, -1.0, 1.0)
 
 
 class GraspEnv(gym.Env[Any, Array]):
@@ -241,21 +252,16 @@ class GraspEnv(gym.Env[Any, Array]):
             self.render()
         return self._obs, self._info()
 
-    def draw_start(
-        self, rng: np.random.Generator
-    ) -> tuple[objects.Item, tasks.Start, np.random.Generator, np.random.Generator]:
-        """Draw an episode's object and start; return the observer's and the task's generators too."""
+    def draw_start(self, rng: Any) -> tuple[objects.Item, tasks.Start, Any, Any]:
+        """Draw an episode's object and start; return the observer's and the task's generators too.
+
+        The hand is open above the object, both a little moved with jitter. `rng` may draw for many
+        episodes (`batch.HostDraws`); arrays then have a leading axis, where they differ.
+        """
         # To spawn draws nothing from the generator itself.
         observer_rng, task_rng, object_rng = rng.spawn(3)
-        item = self._items.draw(object_rng)
-        usual = self._jittered(item.shape, rng)
-        start = self.task.start(usual, self.palm_skin, item.shape, task_rng)
-        return item, start, observer_rng, task_rng
-
-    def _jittered(self, shape: Shape, rng: np.random.Generator) -> tasks.Start:
-        """Return a start with the hand open above the object, both a little moved with jitter."""
+        item, config = self._items.draw(object_rng), self.config
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
-        config = self.config
         if config.jitter:
             offset = rng.uniform(-config.start_offset, config.start_offset, size=2)
             yaw = rng.uniform(-config.start_yaw, config.start_yaw)
@@ -264,28 +270,23 @@ class GraspEnv(gym.Env[Any, Array]):
             still = np.zeros((*fingers.shape[:-1], len(joints) - n_fingers))
             joints = joints + np.concatenate([still, fingers], axis=-1)
             joints = np.clip(joints, *self.simulator.joint_limits.T)
-        place = np.broadcast_arrays(offset[..., 0], offset[..., 1], shape.half_size[2])
-        return tasks.Start(
+        place = np.broadcast_arrays(
+            offset[..., 0], offset[..., 1], item.shape.half_size[2]
+        )
+        usual = tasks.Start(
             joints, np.stack(place, axis=-1), yaw, self.hand.start_targets()
         )
+        start = self.task.start(usual, self.palm_skin, item.shape, task_rng)
+        return item, start, observer_rng, task_rng
 
-    def step(
-        self, action: Array
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> Step:
         """Take a step by an action (n,): return obs, reward, terminated, truncated and info."""
         if not self._obs:
             raise gym.error.ResetNeeded("step: found before the first reset")
-        action, shape = np.asarray(action, dtype=np.float64), self.action_space.shape
-        if action.shape != shape:
-            raise ValueError(f"action: found shape {action.shape}, allowed {shape}")
-        if not np.isfinite(action).all():
-            raise ValueError(f"action: found {action}, allowed finite numbers")
-        action = np.clip(action, -1.0, 1.0)
+        action = checked(action, self.action_space)
         return self.step_to(self.hand.action_map(action, self.state.targets))
 
-    def step_to(
-        self, targets: Array
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step_to(self, targets: Array) -> Step:
         """Take a step towards joint targets (n_actuators,), rad and m, beyond any action if need be."""
         self._steps += 1
         is_last = self._steps >= self.max_episode_steps
@@ -385,8 +386,8 @@ class GraspEnv(gym.Env[Any, Array]):
 
         The physics can break and stay finite, as when fingers that overlap deeply shoot the object out.
         """
-        moved = self.state.object_position - before.object_position
-        speed = math.sqrt(moved @ moved) / self.config.control_dt
+        moved = np.linalg.norm(self.state.object_position - before.object_position)
+        speed = moved / self.config.control_dt
         if not speed < EJECTED:
             raise SimulationError(f"the object was ejected at {speed:.3g} m/s")
 

@@ -177,7 +177,7 @@ def _or_at_start(remembered: Any, value: Array) -> Any:
 class Stage(ABC):
     """Change readings (..., n) on their way to the policy."""
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, whose draws come from `rng`."""
         self._rng = rng
 
@@ -195,12 +195,10 @@ class FalseReadings(Stage):
 
     def __call__(self, reading: Array) -> Array:
         """Return the reading with some bits flipped."""
-        draws, where = (
-            self._rng.random(size=reading.shape[-1]),
-            namespace(reading).where,
-        )
-        of_on = where(draws < self.false_off, 0.0, reading)
-        flipped: Array = where(reading > 0, of_on, 1.0 * (draws < self.false_on))
+        where, is_on = namespace(reading).where, reading > 0
+        chances = where(is_on, self.false_off, self.false_on)
+        flips = self._rng.random(size=reading.shape[-1]) < chances
+        flipped: Array = where(flips, 1.0 * ~is_on, reading)
         return flipped
 
 
@@ -231,7 +229,7 @@ class Past(Stage):
         """Remember `n` readings."""
         self._n, self._readings = n, np.nan
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Forget the last episode."""
         self._readings = np.nan
 
@@ -274,7 +272,7 @@ class JointErrors:
         """Take the standard deviations (n_joints,) of both, rad or m."""
         self.white, self.held, self.control_dt = white, held, control_dt
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, and draw its constant offsets."""
         (held,) = rng.spawn(1)  # draws nothing from `rng`
         self._rng, self._error = (
@@ -316,7 +314,7 @@ class Sight:
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
         self._first = first
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, and draw its error."""
         self._rng = rng
         self._start: Any = np.nan
@@ -437,21 +435,19 @@ class Observer:
         """Return indices of the newest entries of these terms, if the hand has them, or "taxels"."""
         return np.flatnonzero(np.isin(self._term_of_entry, terms))
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
         self.reset_senses(sight, joints)
         self.reset_taxels(taxels)
 
-    def reset_senses(
-        self, sight: np.random.Generator, joints: np.random.Generator
-    ) -> None:
+    def reset_senses(self, sight: Any, joints: Any) -> None:
         """Begin a new episode of what is sensed but for the taxels."""
         for sense, rng in zip(self.senses, (sight, joints), strict=False):
             sense.reset(rng)
         self.past.reset(joints)
 
-    def reset_taxels(self, rng: np.random.Generator) -> None:
+    def reset_taxels(self, rng: Any) -> None:
         """Begin a new episode of the taxels."""
         for stage in self.stages:
             stage.reset(rng)

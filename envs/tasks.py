@@ -143,9 +143,7 @@ class Task(ABC):
             out_of_reach=max(OUT_OF_REACH, hand.reach + BEYOND_REACH),
         )
 
-    def start(
-        self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
-    ) -> Start:
+    def start(self, usual: Start, palm: Array, shape: Shape, rng: Any) -> Start:
         """Return the start of an episode.
 
         Usually the hand is open above an object on the ground, both a little moved. `palm` (3,) is a
@@ -154,7 +152,7 @@ class Task(ABC):
         return usual
 
     @abstractmethod
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Return (achieved, desired goal) of a new episode, each (goal_size,)."""
 
     def before_step(self, simulator: Simulator, step: int) -> None:
@@ -215,7 +213,7 @@ class ReachGoal(Task):
                 f"{config.goal_height:g} m"
             )
 
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Draw the goal above where the first object rests."""
         goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
         furthest = self.config.goal_range
@@ -277,7 +275,7 @@ class LiftAndHold(Task):
             np.zeros(self.goal_size - 1), OUTCOMES["held"]
         )
 
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Return the goals of an episode in which nothing has been lifted yet."""
         self._is_off_ground = False
         return self._achieved(state, OUTCOMES["undecided"]), self.only_goal
@@ -385,9 +383,7 @@ class Handover(Task):
         self.giver = replace(self.giver, force=force)
         self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)
 
-    def start(
-        self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
-    ) -> Start:
+    def start(self, usual: Start, palm: Array, shape: Shape, rng: Any) -> Start:
         """Return a start with the object below the place where it will touch the hand."""
         x, y, _ = np.moveaxis(usual.position, -1, 0)  # fingers point along -y
         nearest, furthest = bounds("handover_reach", self.config.handover_reach)
@@ -395,7 +391,7 @@ class Handover(Task):
         under = np.broadcast_arrays(x, y - reach, -shape.half_size[2] - self.below)
         return usual._replace(position=palm + np.stack(under, axis=-1))
 
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Draw when the giver sets off."""
         self.sets_off = rng.integers(*self.waits, endpoint=True)
         self._wait = state.object_position
