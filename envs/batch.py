@@ -227,7 +227,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _look(self) -> tuple[State, State]:
         """Return the state on the device, and what tasks and hold tests look at, NumPy's."""
         state = self.simulator.state(self._wants_contacts)
-        state = replace(state, targets=self.simulator.tensor(self._targets))
+        targets: Any = self.simulator.tensor(self._targets)
+        state = replace(state, targets=targets)
         positions, rotations = state.link_positions[:, :0], state.link_rotations[:, :0]
         truth = replace(
             state, links=(), link_positions=positions, link_rotations=rotations
@@ -257,7 +258,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         after_step = partial(self.task.after_step, truth, is_last)
         achieved, ended = _in_some(playing, [self.task], after_step)
         self._achieved[stepped] = achieved[stepped]
-        due = stepped & ~ended & self.task.is_hold_due(truth)
+        due = stepped & np.logical_not(ended) & self.task.is_hold_due(truth)
         judge = partial(self._trial.judge, truth)
         over, held = _in_some(were_holding, [self._trial], judge)
         over = over & were_holding & ~broken
@@ -448,13 +449,14 @@ def _in_some(which: Array, things: Iterable[Any], act: Callable[[], T]) -> T:
     return result
 
 
+_REMEMBERED: Any = (bool, int, float, np.generic, np.ndarray, Tensor)
+
+
 def _where(which: Array, new: Any, old: Any) -> Any:
     """Return the new value of some worlds, and the old of the others."""
     if isinstance(new, HostDraws):
         new.rng = np.where(which, new.rng, old.rng)
-    if new is old or not isinstance(
-        new, bool | int | float | np.generic | Array | Tensor
-    ):
+    if new is old or not isinstance(new, _REMEMBERED):
         return new
     mask: Any = which.reshape(-1, *[1] * (max(np.ndim(new), np.ndim(old)) - 1))
     for value in (new, old):

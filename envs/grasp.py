@@ -113,7 +113,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
 
 
 def checked(action: Any, space: gym.Space[Any]) -> Array:
-    """Return an action, or those of many worlds, within [-1, 1]; ValueError for one of no such shape."""
+    """Return an action, or those of many worlds, clipped; ValueError for what is none of `space`."""
     action = np.asarray(action, np.float64)
     if action.shape != space.shape:
         raise ValueError(f"action: found shape {action.shape}, allowed {space.shape}")

@@ -64,7 +64,7 @@ class HoldTest:
         """
         trial, targets = Trial(self, simulator.scene.timestep), state.targets.copy()
         trial.begin(state)
-        is_over = is_held = False
+        is_over: Any = False
         try:
             while not is_over:
                 simulator.set_creep(float(trial.creep))
@@ -150,7 +150,7 @@ class Trial:
 
 
 def _corners(state: State) -> Array:
-    """Return corners (..., 8, 3) of the object's bounding box relative to the palm, m; they show turns."""
+    """Return corners (..., 8, 3) of the object's bounding box relative to the palm, m."""
     axes = (
         state.object_rotation * np.stack(state.shape.half_size, axis=-1)[..., None, :]
     )

@@ -128,7 +128,7 @@ class Shape:
         return xp.einsum("...i,...i->...", beyond, beyond)
 
     def half_height(self, rotation: Any) -> Any:
-        """Return how far the shape, turned by `rotation` (..., 3, 3), reaches below its centre (...), m."""
+        """Return how deep the shape, turned by `rotation` (..., 3, 3), is below its centre, m (...)."""
         x, y, z = self.half_size
         if self.kind == "sphere":
             return x

@@ -167,6 +167,9 @@ TERMS = {
 # Random numbers are drawn with the keyword `size`, which leaves leading axes out (`batch.Draws`).
 
 
+_NOTHING_YET: Any = np.nan
+
+
 def _or_at_start(remembered: Any, value: Array) -> Any:
     """Return what is remembered (..., n), and `value` where that is NaN: nothing yet."""
     if isinstance(remembered, float):
@@ -227,11 +230,11 @@ class Past(Stage):
 
     def __init__(self, n: int) -> None:
         """Remember `n` readings."""
-        self._n, self._readings = n, np.nan
+        self._n, self._readings = n, _NOTHING_YET
 
     def reset(self, rng: Any) -> None:
         """Forget the last episode."""
-        self._readings = np.nan
+        self._readings = _NOTHING_YET
 
     def __call__(self, reading: Array) -> Array:
         """Return the readings, n times as many entries."""
@@ -240,14 +243,14 @@ class Past(Stage):
         latest = self._remember(reading)
         return latest.reshape(*latest.shape[:-2], -1)
 
-    def _remember(self, reading: Array) -> Array:
+    def _remember(self, reading: Array) -> Any:
         """Return the readings (..., n, m) with a new one."""
         xp, now = namespace(reading), reading[..., None, :]
         before = [now] * (self._n - 1)
         if not isinstance(self._readings, float):
             before = [_or_at_start(self._readings[..., :-1, :], now)]
-        self._readings: Any = xp.concatenate([now, *before], axis=-2)
-        return self._readings  # type: ignore[no-any-return]
+        self._readings = xp.concatenate([now, *before], axis=-2)
+        return self._readings
 
 
 class Delay(Past):
@@ -279,7 +282,7 @@ class JointErrors:
             rng,
             self.held * held.standard_normal(size=len(self.held)),
         )
-        self._noise: Any = np.nan
+        self._noise = _NOTHING_YET
 
     def __call__(self, state: State) -> State:
         """Return the state with joints and hand as they are sensed; once a control step."""
@@ -317,7 +320,7 @@ class Sight:
     def reset(self, rng: Any) -> None:
         """Begin a new episode, and draw its error."""
         self._rng = rng
-        self._start: Any = np.nan
+        self._start = _NOTHING_YET
         self._error = self._draw()
 
     def _draw(self) -> Array:

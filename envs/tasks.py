@@ -182,7 +182,7 @@ class Task(ABC):
         return False
 
     def after_hold(self, achieved_goal: Array, is_held: Any) -> Array:
-        """Return the goal achieved in an episode that a hold test has ended, from that of its last step."""
+        """Return the goal achieved by a hold test, from that of the step before it."""
         outcome = np.where(is_held, OUTCOMES["held"], OUTCOMES[self.lost])
         return np.concatenate([achieved_goal[..., :-1], outcome[..., None]], axis=-1)
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -180,11 +181,12 @@ class _Shaped:
         state = state.map(host) if is_many else state
         for index in map(tuple, np.argwhere(now.any(-1))):
             on, one = now[index], state.map(itemgetter(index)) if is_many else state
-            place = one.shape, one.object_position, one.object_rotation
+            item = one.shape, one.object_position, one.object_rotation
             for (link, geom), taxels in self._taxels_of_geom.items():
-                pose = (part[0] for part in one.poses((link,)))
-                if on[taxels].any() and not self._distances[link].within(
-                    geom, *pose, *place, SKIN
+                positions, rotations = one.poses((link,))
+                away = self._distances[link]
+                if on[taxels].any() and not away.within(
+                    geom, positions[0], rotations[0], *item, SKIN
                 ):
                     on[taxels] = False
         if is_many:
@@ -270,7 +272,7 @@ class ThresholdTouch(ForceRule):
     """Rule "skin" for sensors that fire from a force up, and stop below another."""
 
     is_boolean, is_batched = True, True
-    _fires: Array | bool
+    _fires: Any
 
     def __init__(
         self, taxels: Taxels, hand: Hand, thresholds: Array, releases: Array

@@ -167,24 +167,17 @@ class LoopSimulator(BatchSimulator):
         for i, state in enumerate(states):
             for whole, part in zip(contacts, state.contacts, strict=True):
                 whole[i, : len(part)] = part[:room]
-        apart, nothing = (
-            ("shape", "links", "contacts", "targets", "sensors"),
-            np.zeros((self.n, 0)),
-        )
-        stacked = {
+        apart = "shape", "links", "contacts", "targets", "sensors"
+        stacked: dict[str, Any] = {
             name: self.tensor([getattr(state, name) for state in states])
             for name in vars(states[0])
             if name not in apart
         }
+        stacked["targets"] = stacked["sensors"] = self.tensor(np.zeros((self.n, 0)))
         half_size = self.tensor([state.shape.half_size for state in states])
-        return State(
-            shape=Shape(self.kind, tuple(half_size.T)),
-            links=self.links,
-            contacts=Contacts(*map(self.tensor, contacts)),  # type: ignore[arg-type]
-            targets=self.tensor(nothing),
-            sensors=self.tensor(nothing),
-            **stacked,
-        )
+        stacked["shape"] = Shape(self.kind, tuple(half_size.T))  # type: ignore[arg-type]
+        stacked["contacts"] = Contacts(*map(self.tensor, contacts))  # type: ignore[arg-type]
+        return State(links=self.links, **stacked)
 
     def close(self) -> None:
         """Close each world."""
