@@ -61,7 +61,7 @@ def namespace(values: Any) -> Any:
 
 def host(values: Any) -> np.ndarray:
     """Return an array or a tensor as NumPy's."""
-    return np.asarray(values.cpu() if hasattr(values, "cpu") else values)
+    return np.asarray(values.detach().cpu() if hasattr(values, "cpu") else values)
 
 
 def like(values: Any, other: Any) -> Any:
