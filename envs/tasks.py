@@ -400,8 +400,8 @@ class Handover(Task):
     def giving(self, step: Any) -> tuple[Array, Any, Any]:
         """Let the giver wait, set off or let go."""
         self._step = step
-        up = np.where(step == 0, 0.0, self.below + self.beyond)
-        goal = self._wait + up[..., None] * np.array([0.0, 0.0, 1.0])
+        up = np.array([0.0, 0.0, self.below + self.beyond])
+        goal = self._wait + np.multiply.outer(step != 0, up)
         sets_off = (step == 0) | (step == self.sets_off)
         return goal, sets_off, self._since_letting_go == 0
 
