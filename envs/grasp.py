@@ -20,13 +20,14 @@ from . import (
     touch,
     validation,
 )
-from .objects import ObjectConfig
+from .objects import ObjectConfig, Shape
 from .observations import ObservationConfig, Observer
 from .simulators import SimulationError, Sphere
-from .state import Array, Shape, State
+from .state import Array, State
 from .tasks import TaskConfig
 from .validation import blamed, require_known, require_one_of
 
+Step = tuple[dict[str, Array], float, bool, bool, dict[str, Any]]
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
@@ -111,6 +112,16 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     return GraspConfig(**{**usual, **choices})
 
 
+def checked(action: Any, space: gym.Space[Any]) -> Array:
+    """Return an action, or those of many worlds, clipped; ValueError for what is none of `space`."""
+    action = np.asarray(action, np.float64)
+    if action.shape != space.shape:
+        raise ValueError(f"action: found shape {action.shape}, allowed {space.shape}")
+    if not np.isfinite(action).all():
+        raise ValueError("action: found NaN or infinity, allowed finite numbers")
+    return np.clip(action, -1.0, 1.0)
+
+
 class GraspEnv(gym.Env[Any, Array]):
     """A hand above an object on the ground; a goal environment in Gymnasium's sense.
 
@@ -143,7 +154,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self.render_mode = render_mode
         fps = max(1, round(1 / config.control_dt))
         self.metadata = {**self.metadata, "render_fps": fps}
-        self._items = items = objects.Items(config)
+        task = tasks.TASKS[config.task]
+        self._items = items = task.items(config)
         self._item = first = items.first
         width = items.width if config.is_near else math.inf
         self.hand = hands.get(hand).start_above(width, items.height)
@@ -157,7 +169,7 @@ class GraspEnv(gym.Env[Any, Array]):
             config.taxel_threshold,
             config.taxel_release,
         )
-        self.task: tasks.Task = tasks.TASKS[config.task](
+        self.task: tasks.Task = task(
             config, self.hand, setup(hand).timestep, first.shape
         )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
@@ -174,14 +186,7 @@ class GraspEnv(gym.Env[Any, Array]):
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)
-        self._observer = Observer(
-            config,
-            self.hand,
-            () if config.touch == "absent" else self.taxels.names,
-            self._touch.is_boolean,
-            config.control_dt,
-            first.shape,
-        )
+        self._observer = self.observer(config)
         place = np.array([0.0, 0.0, items.height / 2])
         self.simulator.reset(self.hand.start_positions(), place, 0.0)
         self.state = self.simulator.state()
@@ -198,6 +203,18 @@ class GraspEnv(gym.Env[Any, Array]):
             desired = gym.spaces.Box(goal, goal)
         spaces = {"observation": self._observer.space, "achieved_goal": goals}
         self.observation_space = gym.spaces.Dict({**spaces, "desired_goal": desired})
+
+    def observer(self, config: GraspConfig) -> Observer:
+        """Return what makes observations, by another configuration of the sensors."""
+        return Observer(
+            config,
+            self.hand,
+            self.task.observation_terms,
+            () if config.touch == "absent" else self.taxels.names,
+            self._touch.is_boolean,
+            config.control_dt,
+            self._items.first.shape,
+        )
 
     def _palm_skin(self) -> Array:
         """Return the place (3,) on the palm's skin where objects are handed over."""
@@ -235,47 +252,41 @@ class GraspEnv(gym.Env[Any, Array]):
             self.render()
         return self._obs, self._info()
 
-    def draw_start(
-        self, rng: np.random.Generator
-    ) -> tuple[objects.Item, tasks.Start, np.random.Generator, np.random.Generator]:
-        """Draw an episode's object and start; return the observer's and the task's generators too."""
+    def draw_start(self, rng: Any) -> tuple[objects.Item, tasks.Start, Any, Any]:
+        """Draw an episode's object and start; return the observer's and the task's generators too.
+
+        The hand is open above the object, both a little moved with jitter. `rng` may draw for many
+        episodes (`batch.HostDraws`); arrays then have a leading axis, where they differ.
+        """
         # To spawn draws nothing from the generator itself.
         observer_rng, task_rng, object_rng = rng.spawn(3)
-        item = self._items.draw(object_rng)
-        usual = self._jittered(item.shape, rng)
+        item, config = self._items.draw(object_rng), self.config
+        joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
+        if config.jitter:
+            offset = rng.uniform(-config.start_offset, config.start_offset, size=2)
+            yaw = rng.uniform(-config.start_yaw, config.start_yaw)
+            n_fingers = len(joints[hands.FINGERS])
+            fingers = rng.uniform(-JITTER_JOINT, JITTER_JOINT, size=n_fingers)
+            still = np.zeros((*fingers.shape[:-1], len(joints) - n_fingers))
+            joints = joints + np.concatenate([still, fingers], axis=-1)
+            joints = np.clip(joints, *self.simulator.joint_limits.T)
+        place = np.broadcast_arrays(
+            offset[..., 0], offset[..., 1], item.shape.half_size[2]
+        )
+        usual = tasks.Start(
+            joints, np.stack(place, axis=-1), yaw, self.hand.start_targets()
+        )
         start = self.task.start(usual, self.palm_skin, item.shape, task_rng)
         return item, start, observer_rng, task_rng
 
-    def _jittered(self, shape: Shape, rng: np.random.Generator) -> tasks.Start:
-        """Return a start with the hand open above the object, both a little moved with jitter."""
-        joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
-        config = self.config
-        if config.jitter:
-            offset = rng.uniform(-config.start_offset, config.start_offset, 2)
-            yaw = rng.uniform(-config.start_yaw, config.start_yaw)
-            fingers = joints[hands.FINGERS]
-            fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
-            joints = np.clip(joints, *self.simulator.joint_limits.T)
-        position = np.array([*offset, shape.half_size[2]])
-        return tasks.Start(joints, position, yaw, self.hand.start_targets())
-
-    def step(
-        self, action: Array
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> Step:
         """Take a step by an action (n,): return obs, reward, terminated, truncated and info."""
         if not self._obs:
             raise gym.error.ResetNeeded("step: found before the first reset")
-        action, shape = np.asarray(action, dtype=np.float64), self.action_space.shape
-        if action.shape != shape:
-            raise ValueError(f"action: found shape {action.shape}, allowed {shape}")
-        if not np.isfinite(action).all():
-            raise ValueError(f"action: found {action}, allowed finite numbers")
-        action = np.clip(action, -1.0, 1.0)
+        action = checked(action, self.action_space)
         return self.step_to(self.hand.action_map(action, self.state.targets))
 
-    def step_to(
-        self, targets: Array
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step_to(self, targets: Array) -> Step:
         """Take a step towards joint targets (n_actuators,), rad and m, beyond any action if need be."""
         self._steps += 1
         is_last = self._steps >= self.max_episode_steps
@@ -288,7 +299,7 @@ class GraspEnv(gym.Env[Any, Array]):
             achieved, terminated = self.task.after_step(self.state, is_last)
             if not terminated and self.task.is_hold_due(self.state):
                 is_held = self.task.hold.run(self.simulator, self.state)
-                achieved = self.task.after_hold(self.state, is_held)
+                achieved = self.task.after_hold(achieved, is_held)
                 terminated = True
         except SimulationError as error:
             obs = {key: value.copy() for key, value in self._obs.items()}
@@ -301,6 +312,7 @@ class GraspEnv(gym.Env[Any, Array]):
         info = self._info(is_success=bool(self.task.is_success(*goals)))
         if self.render_mode == "human":
             self.render()
+        terminated = bool(terminated)
         return obs, float(reward), terminated, is_last and not terminated, info
 
     def compute_reward(
@@ -374,8 +386,8 @@ class GraspEnv(gym.Env[Any, Array]):
 
         The physics can break and stay finite, as when fingers that overlap deeply shoot the object out.
         """
-        moved = self.state.object_position - before.object_position
-        speed = math.sqrt(moved @ moved) / self.config.control_dt
+        moved = np.linalg.norm(self.state.object_position - before.object_position)
+        speed = moved / self.config.control_dt
         if not speed < EJECTED:
             raise SimulationError(f"the object was ejected at {speed:.3g} m/s")
 

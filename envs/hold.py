@@ -15,8 +15,8 @@ docs/concepts/tasks.md, "The hold test".
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import count, product
-from typing import Literal
+from itertools import product
+from typing import Any, Literal
 
 import numpy as np
 
@@ -62,65 +62,98 @@ class HoldTest:
         Joint targets stay as they are, but for the slide that rises. Leaves the simulator wherever the
         test ended.
         """
-        timestep = simulator.scene.timestep
-        n_substeps = max(1, round(self.look_every / timestep))
-        n_left = max(1, round(self.seconds / timestep))
-        n_shaken = round(self.shake_seconds / self.look_every)
-        rise = RAISE_SPEED * timestep * n_substeps
-        targets, corners = state.targets.copy(), _corners(state)
-        # From where the slide is, not from its target: the hand may lag far behind that.
-        targets[2] = state.joint_positions[2]
-        top = targets[2] + self.height - state.palm[2]
+        trial, targets = Trial(self, simulator.scene.timestep), state.targets.copy()
+        trial.begin(state)
+        is_over: Any = False
         try:
-            for look in count(1):
-                if targets[2] != top:  # the palm does not turn, but rise and stay
-                    targets[2] += np.clip(top - targets[2], -rise, rise)
-                else:
-                    n_substeps = min(n_substeps, n_left)
-                    n_left -= n_substeps
-                simulator.step(targets, n_substeps)
-                state, before = simulator.state(), corners
-                corners, is_at_top = _corners(state), bool(targets[2] == top)
-                if not np.linalg.norm(_in_hand(state)) <= self.out_of_reach:
-                    return False
-                if is_at_top and not n_left:
-                    break
-                if self.verdict == "full":
-                    continue
-                compressed = (look - n_shaken) * self.look_every
-                if compressed >= 0:
-                    simulator.set_creep(self.creep)
-                furthest = float(np.linalg.norm(corners - before, axis=1).max())
-                speed = furthest / self.look_every
-                if compressed > 0 and self._settles(
-                    state, speed, compressed, is_at_top
-                ):
-                    break
+            while not is_over:
+                simulator.set_creep(float(trial.creep))
+                n_substeps = trial.rise()
+                targets[2] = trial.slide
+                simulator.step(targets, int(n_substeps))
+                is_over, is_held = trial.judge(simulator.state())
         finally:
             simulator.set_creep(1.0)
-        return True
+        return bool(is_held)
 
-    def _settles(
-        self, state: State, speed: float, compressed: float, is_at_top: bool
-    ) -> bool:
-        """Return True if the test may end early with success, after `compressed` s of it.
 
-        The object, which moves in the hand at `speed`, m/s, is at rest, or still in the hand at the top
-        when time is up.
-        """
-        whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
-        left = max(0.0, whole - compressed)
-        is_at_rest = speed * (left + self.look_every) < self.settle_distance
-        return bool(is_at_rest and state.clearance > CLEARANCE) or (
-            is_at_top and left == 0
+class Trial:
+    """A hold test on its way, or one in each of many scenes: its arrays then have a leading axis."""
+
+    slide: Any = np.nan
+    """Target of the slide that rises, m."""
+    _top: Any = np.nan
+    _n_looks: Any = 0
+    _n_left: Any = 0  # timesteps at the top
+    _corners: Any = np.nan
+
+    def __init__(self, test: HoldTest, timestep: float) -> None:
+        """Take the test, and the physics step, s."""
+        self._test = test
+        self._n_substeps = max(1, round(test.look_every / timestep))
+        self._n_at_top = max(1, round(test.seconds / timestep))
+        self._furthest = RAISE_SPEED * timestep * self._n_substeps
+
+    def begin(self, state: State) -> None:
+        """Begin from where the slide is, not from its target: the hand may lag far behind that."""
+        self.slide = state.joint_positions[..., 2]
+        self._top = self.slide + self._test.height - state.palm[..., 2]
+        self._n_looks, self._n_left, self._corners = 0, self._n_at_top, _corners(state)
+
+    def rise(self) -> Array:
+        """Set the slide's next target; return the number of timesteps to the next look."""
+        is_rising = self.slide != self._top  # the palm does not turn, but rise and stay
+        way = np.clip(self._top - self.slide, -self._furthest, self._furthest)
+        n = np.where(
+            is_rising, self._n_substeps, np.minimum(self._n_substeps, self._n_left)
         )
+        self.slide = self.slide + way
+        self._n_left = self._n_left - np.where(is_rising, 0, n)
+        self._n_looks = self._n_looks + 1
+        return n
 
+    def judge(self, state: State) -> tuple[Array, Array]:
+        """Look at the object; return whether the test is over, and whether the object was held."""
+        test, in_hand = self._test, state.object_position - state.palm
+        is_lost = ~(np.linalg.norm(in_hand, axis=-1) <= test.out_of_reach)
+        is_at_top = self.slide == self._top
+        is_held = is_at_top & (self._n_left == 0)
+        if test.verdict == "settled":
+            before, self._corners = self._corners, _corners(state)
+            speed = (
+                np.linalg.norm(self._corners - before, axis=-1).max(-1)
+                / test.look_every
+            )
+            whole = (test.seconds + test.height / RAISE_SPEED) / test.creep
+            left = np.maximum(0.0, whole - self._compressed)
+            # It moves so little in the hand that it will not get far, or time is up.
+            is_at_rest = speed * (left + test.look_every) < test.settle_distance
+            is_at_rest = is_at_rest & (state.clearance > CLEARANCE)
+            is_held = is_held | (self._compressed > 0) & (
+                is_at_rest | is_at_top & (left == 0)
+            )
+        return is_lost | is_held, is_held & ~is_lost
 
-def _in_hand(state: State) -> Array:
-    """Return the object's position relative to the palm (3,), m."""
-    return state.object_position - state.palm
+    @property
+    def creep(self) -> Array:
+        """Factor by which creep is sped up now."""
+        is_fast = (self._test.verdict == "settled") & (self._compressed >= 0)
+        return np.where(is_fast, self._test.creep, 1.0)
+
+    @property
+    def _compressed(self) -> Any:
+        """Time since creep was sped up, s."""
+        test = self._test
+        return (
+            self._n_looks - round(test.shake_seconds / test.look_every)
+        ) * test.look_every
 
 
 def _corners(state: State) -> Array:
-    """Return corners (8, 3) of the object's bounding box relative to the palm, m; they show turns."""
-    return _in_hand(state) + CORNERS * state.shape.half_size @ state.object_rotation.T
+    """Return corners (..., 8, 3) of the object's bounding box relative to the palm, m."""
+    axes = (
+        state.object_rotation * np.stack(state.shape.half_size, axis=-1)[..., None, :]
+    )
+    corners = axes.reshape(-1, 3) @ CORNERS.T
+    corners = corners.reshape(*axes.shape[:-1], 8).swapaxes(-1, -2)
+    return (state.object_position - state.palm)[..., None, :] + corners

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
-from typing import Annotated, Any
+from functools import cached_property
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from .state import KINDS, Kind, Shape
 from .validation import allow_only_with, hints, require_one_of, require_type
 
+Kind = Literal["box", "sphere", "cylinder"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""
 Density = Annotated[float, "[1, 100000]"] | str
@@ -50,7 +53,92 @@ class ObjectConfig:
         return is_usual or not self.jitter
 
 
-def make(kind: Kind, size: tuple[float, ...]) -> Shape:
+def namespace(values: Any) -> Any:
+    """Return the module whose functions take these values: PyTorch for its tensors, else NumPy."""
+    torch = sys.modules.get("torch")
+    return torch if torch and isinstance(values, torch.Tensor) else np
+
+
+def host(values: Any) -> np.ndarray:
+    """Return an array or a tensor as NumPy's."""
+    return np.asarray(values.detach().cpu() if hasattr(values, "cpu") else values)
+
+
+def like(values: Any, other: Any) -> Any:
+    """Return an array as another is: NumPy's, or a tensor on its device."""
+    xp = namespace(other)
+    return (
+        values
+        if xp is np
+        else xp.as_tensor(values, dtype=other.dtype, device=other.device)
+    )
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A primitive in its own frame, centred at the origin; a cylinder stands along z. In m.
+
+    It may stand for many of a kind: its measures are then arrays, whose axes lead in all results.
+    """
+
+    kind: Kind
+    half_size: tuple[Any, Any, Any]
+    """Half extents along its own axes, three numbers or three arrays (...), m."""
+
+    @property
+    def width(self) -> float:
+        """Larger of its two measures across, m."""
+        return 2 * max(self.half_size[:2])
+
+    @property
+    def height(self) -> float:
+        """Height, m."""
+        return 2 * self.half_size[2]
+
+    @property
+    def volume(self) -> Any:
+        """Volume (...), m³."""
+        x, y, z = self.half_size
+        factor = {"box": 8.0, "sphere": 4 / 3 * math.pi, "cylinder": 2 * math.pi}
+        return factor[self.kind] * x * y * z
+
+    @cached_property
+    def _half(self) -> Any:
+        """The half extents in one array, (3,) or (..., 1, 3)."""
+        if isinstance(self.half_size[0], float):
+            return np.array(self.half_size)
+        xp = namespace(self.half_size[0])
+        return xp.stack(self.half_size, axis=-1)[..., None, :]
+
+    def squared_distance(self, points: Any) -> Any:
+        """Return the squared distances (..., n) in m² from points (..., n, 3) to the solid, 0 inside.
+
+        Points are NumPy's or PyTorch's.
+        """
+        xp, half = namespace(points), self._half
+        if self.kind == "sphere":
+            from_centre = xp.sqrt(xp.einsum("...i,...i->...", points, points))
+            beyond = from_centre - half[..., 0]
+            return (beyond * (beyond > 0)) ** 2
+        if self.kind == "cylinder":  # (radius, height)
+            radii = xp.hypot(points[..., 0], points[..., 1])
+            points, half = xp.stack([radii, points[..., 2]], axis=-1), half[..., 1:]
+        beyond = abs(points) - half
+        beyond *= beyond > 0
+        return xp.einsum("...i,...i->...", beyond, beyond)
+
+    def half_height(self, rotation: Any) -> Any:
+        """Return how deep the shape, turned by `rotation` (..., 3, 3), is below its centre, m (...)."""
+        x, y, z = self.half_size
+        if self.kind == "sphere":
+            return x
+        a, b, upright = np.moveaxis(np.abs(rotation[..., 2, :]), -1, 0)
+        if self.kind == "cylinder":
+            return z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2))
+        return a * x + b * y + upright * z
+
+
+def make(kind: Kind, size: tuple[Any, ...]) -> Shape:
     """Return a shape from its measures in m; raise ValueError for another number of them.
 
     A box has edges (one: a cube), a sphere a diameter, a cylinder a diameter and a height (one: both).
@@ -71,13 +159,13 @@ class Item:
 
     shape: Shape
     """Kind and size."""
-    density: float
+    density: Any
     """Density, kg/m³."""
-    friction: float
+    friction: Any
     """Coefficient of sliding friction."""
 
     @property
-    def mass(self) -> float:
+    def mass(self) -> Any:
         """Mass, kg."""
         return self.density * self.shape.volume
 
@@ -114,9 +202,10 @@ class Items:
         self.first = Item(largest[0], self._density[1], self._friction[1])
         """The largest and heaviest object of the first kind."""
 
-    def draw(self, rng: np.random.Generator) -> Item:
-        """Return the object of an episode."""
-        kind = self._kinds[rng.integers(len(self._kinds))]
+    def draw(self, rng: Any) -> Item:
+        """Return the object of an episode; of many episodes, where `rng` draws for many (`Draws`)."""
+        n = len(self._kinds)
+        kind = self._kinds[rng.integers(n) if n > 1 else 0]
         shape = make(kind, tuple(rng.uniform(*size) for size in self._sizes))
         return Item(shape, rng.uniform(*self._density), rng.uniform(*self._friction))
 

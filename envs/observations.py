@@ -8,18 +8,17 @@ passes one `Stage` after another. Goals and rewards never pass here: they keep t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .hands import ARM, SLIDES, Hand
-from .state import KINDS, Array, Shape, State
+from .objects import KINDS, Shape, host, like, namespace
+from .state import Array, State
 from .validation import Fraction, Newtons, allow_only_with, require_one_of
 
 Metres = Annotated[float, "[0, 1]"]
@@ -119,7 +118,7 @@ class Term(NamedTuple):
     entries: Callable[[Hand], Sequence[str]]
     """Names that tell the entries apart."""
     read: Callable[[Hand, State], Array]
-    """Function that returns the entries (n,) from the state as it is sensed."""
+    """Function that returns the entries (..., n) from the state as it is sensed."""
 
 
 def _first_joints(hand: Hand, state: State) -> Array:
@@ -138,7 +137,7 @@ TERMS = {
     "object_id": Term(
         "object kind:",
         lambda _: [", ".join(KINDS)],
-        lambda _, state: np.array([float(KINDS.index(state.shape.kind))]),
+        lambda _, state: 0.0 * state.palm[..., :1] + KINDS.index(state.shape.kind),
     ),
     "hand_position": Term("hand", lambda _: "xyz", lambda _, state: state.palm),
     "finger_joints": Term("position of", attrgetter("first_joints"), _first_joints),
@@ -157,17 +156,31 @@ TERMS = {
     "targets": Term(
         "asked for:",
         attrgetter("action_names"),
-        lambda hand, state: hand.action_map.commands(state.targets),
+        lambda hand, state: hand.action_map.commands(host(state.targets)),
     ),
 }
 
 # -- stages ----------------------------------------------------------------------------------
 
+# What stages, joints and sight remember of an episode are attributes that `reset` sets, as all the
+# episodes of a batch may have them: numbers, or arrays with the leading axes of what they are told.
+# Random numbers are drawn with the keyword `size`, which leaves leading axes out (`batch.Draws`).
+
+
+_NOTHING_YET: Any = np.nan
+
+
+def _or_at_start(remembered: Any, value: Array) -> Any:
+    """Return what is remembered (..., n), and `value` where that is NaN: nothing yet."""
+    if isinstance(remembered, float):
+        return value
+    return namespace(value).where(remembered == remembered, remembered, value)
+
 
 class Stage(ABC):
-    """Change a reading (n,) on its way to the policy."""
+    """Change readings (..., n) on their way to the policy."""
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, whose draws come from `rng`."""
         self._rng = rng
 
@@ -185,9 +198,11 @@ class FalseReadings(Stage):
 
     def __call__(self, reading: Array) -> Array:
         """Return the reading with some bits flipped."""
-        draws = self._rng.random(reading.shape)
-        of_on = np.where(draws < self.false_off, 0, reading)
-        return np.where(reading > 0, of_on, draws < self.false_on)
+        where, is_on = namespace(reading).where, reading > 0
+        chances = where(is_on, self.false_off, self.false_on)
+        flips = self._rng.random(size=reading.shape[-1]) < chances
+        flipped: Array = where(flips, 1.0 * ~is_on, reading)
+        return flipped
 
 
 class Broken(Stage):
@@ -198,16 +213,13 @@ class Broken(Stage):
 
     def __init__(self, n: int, dead: float, stuck: float, seed: int) -> None:
         """Break shares of `n` sensors."""
-        order = np.random.default_rng(seed).permutation(n)
+        rank = np.random.default_rng(seed).permutation(n).argsort()
         n_dead = round(dead * n)
-        self.dead = order[:n_dead]
-        self.stuck = order[max(n_dead, n - round(stuck * n)) :]
+        self.dead, self.stuck = rank < n_dead, rank >= max(n_dead, n - round(stuck * n))
 
     def __call__(self, reading: Array) -> Array:
         """Return the reading with 0 and 1 where sensors are dead and stuck."""
-        reading = reading.copy()
-        reading[self.dead], reading[self.stuck] = 0, 1
-        return reading
+        return reading * ~(self.dead | self.stuck) + 1.0 * self.stuck
 
 
 class Past(Stage):
@@ -218,16 +230,27 @@ class Past(Stage):
 
     def __init__(self, n: int) -> None:
         """Remember `n` readings."""
-        self._n, self._readings = n, deque[Array](maxlen=n)
+        self._n, self._readings = n, _NOTHING_YET
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Forget the last episode."""
-        self._readings.clear()
+        self._readings = _NOTHING_YET
 
     def __call__(self, reading: Array) -> Array:
         """Return the readings, n times as many entries."""
-        self._readings.extendleft([reading] * (1 if self._readings else self._n))
-        return np.concatenate(self._readings)
+        if self._n == 1:
+            return reading
+        latest = self._remember(reading)
+        return latest.reshape(*latest.shape[:-2], -1)
+
+    def _remember(self, reading: Array) -> Any:
+        """Return the readings (..., n, m) with a new one."""
+        xp, now = namespace(reading), reading[..., None, :]
+        before = [now] * (self._n - 1)
+        if not isinstance(self._readings, float):
+            before = [_or_at_start(self._readings[..., :-1, :], now)]
+        self._readings = xp.concatenate([now, *before], axis=-2)
+        return self._readings
 
 
 class Delay(Past):
@@ -239,8 +262,7 @@ class Delay(Past):
 
     def __call__(self, reading: Array) -> Array:
         """Return the oldest reading that is remembered."""
-        super().__call__(reading)
-        return self._readings[-1]
+        return self._remember(reading)[..., -1, :]
 
 
 class JointErrors:
@@ -253,23 +275,27 @@ class JointErrors:
         """Take the standard deviations (n_joints,) of both, rad or m."""
         self.white, self.held, self.control_dt = white, held, control_dt
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, and draw its constant offsets."""
         (held,) = rng.spawn(1)  # draws nothing from `rng`
-        self._rng, self._error = rng, self.held * held.standard_normal(self.held.shape)
-        self._noise: Array | None = None
+        self._rng, self._error = (
+            rng,
+            self.held * held.standard_normal(size=len(self.held)),
+        )
+        self._noise = _NOTHING_YET
 
     def __call__(self, state: State) -> State:
         """Return the state with joints and hand as they are sensed; once a control step."""
-        noise = self.white * self._rng.standard_normal(self.white.shape)
-        error, before, self._noise = self._error + noise, self._noise, noise
-        speed = 0.0 if before is None else (noise - before) / self.control_dt
+        noise = self.white * self._rng.standard_normal(size=len(self.white))
+        before, self._noise = _or_at_start(self._noise, noise), noise
+        error = self._error + noise
         return replace(
             state,
             joint_positions=state.joint_positions + error,
-            joint_velocities=state.joint_velocities + speed,
+            joint_velocities=state.joint_velocities
+            + (noise - before) / self.control_dt,
             # The slides, along the world's axes, carry the palm.
-            palm=state.palm + error[ARM],
+            palm=state.palm + error[..., ARM],
         )
 
 
@@ -291,32 +317,48 @@ class Sight:
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
         self._first = first
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, and draw its error."""
         self._rng = rng
-        self._start: State | None = None
+        self._start = _NOTHING_YET
         self._error = self._draw()
 
     def _draw(self) -> Array:
-        return self._scale * self._rng.standard_normal(6)
+        return self._scale * self._rng.standard_normal(size=6)
 
     def __call__(self, state: State) -> State:
         """Return the state as it is seen; of the object's pose only position and quaternion count."""
         if self._mode == "exact":
             return state
+        xp = namespace(state.object_position)
         if self._mode == "hidden":
-            state = replace(state, shape=self._first, object_position=np.zeros(3))
-            return replace(state, object_orientation=np.zeros(4))
-        self._start = self._start or state
-        position = self._start.object_position
-        orientation = self._start.object_orientation
-        if self._mode == "noisy":
+            state = replace(state, shape=self._first)
+            pose = [
+                xp.zeros_like(p)
+                for p in (state.object_position, state.object_orientation)
+            ]
+        elif self._mode == "noisy":
             error = self._error if self._is_held else self._draw()
-            actual = Rotation.from_quat(state.object_orientation, scalar_first=True)
-            turned = Rotation.from_rotvec(error[3:]) * actual
-            position = state.object_position + error[:3]
-            orientation = turned.as_quat(scalar_first=True)
-        return replace(state, object_position=position, object_orientation=orientation)
+            orientation = _turned(error[..., 3:], state.object_orientation)
+            pose = [state.object_position + error[..., :3], orientation]
+        else:
+            now = [state.object_position, state.object_orientation]
+            self._start = _or_at_start(self._start, xp.concatenate(now, axis=-1))
+            pose = [self._start[..., :3], self._start[..., 3:]]
+        return replace(state, object_position=pose[0], object_orientation=pose[1])
+
+
+def _turned(vector: Array, quaternion: Array) -> Array:
+    """Return orientations (..., 4), wxyz, turned by rotation vectors (..., 3)."""
+    xp = namespace(vector)
+    half = xp.linalg.norm(vector, axis=-1)[..., None] / 2
+    v, w = vector * xp.sinc(half / np.pi) / 2, xp.cos(half)
+    real, u = quaternion[..., :1], quaternion[..., 1:]
+    turned = w * u + real * v + xp.cross(v, u, axis=-1)
+    both: Array = xp.concatenate(
+        [w * real - (v * u).sum(-1)[..., None], turned], axis=-1
+    )
+    return both
 
 
 # -- all of it -------------------------------------------------------------------------------
@@ -346,6 +388,7 @@ class Observer:
         self,
         config: ObservationConfig,
         hand: Hand,
+        terms: Mapping[str, Term],
         taxel_names: tuple[str, ...],
         is_boolean: bool,
         control_dt: float,
@@ -353,8 +396,8 @@ class Observer:
     ) -> None:
         """Prepare the observation of a hand.
 
-        `taxel_names` are those in the observation, `is_boolean` says that they read 0 or 1, `first` is
-        the shape of the scene's first object.
+        `terms` are the task's own, `taxel_names` those in the observation, `is_boolean` says that they
+        read 0 or 1, `first` is the shape of the scene's first object.
         """
         where = f"hand {hand.name}: observation"
         for term in hand.observation:
@@ -362,21 +405,24 @@ class Observer:
         if not hand.observation:
             raise ValueError(f"{where}: found none, allowed: {', '.join(TERMS)}")
         self.hand = hand
-        self._terms = [*hand.observation, *["targets"] * config.observe_targets]
-        self._sight = Sight(config, first)
+        named = [*hand.observation, *["targets"] * config.observe_targets]
+        self._terms = {name: TERMS[name] for name in named} | dict(terms)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
         held = np.where(is_slide, config.slide_noise_held, config.joint_noise_held)
-        self._joints: JointErrors | None = None
-        if white.any() or held.any():
-            self._joints = JointErrors(white, held, control_dt)
+        joints = (
+            [JointErrors(white, held, control_dt)] if white.any() or held.any() else []
+        )
+        self.senses: list[Any] = [Sight(config, first), *joints]
+        """What changes a state on its way to the policy."""
         stages = [make(config, len(taxel_names)) for make in STAGES]
-        self._stages = [stage for stage in stages if stage is not None]
-        self._past = Past(config.history), Past(config.history)
+        self.stages = [*filter(None, stages), Past(config.history)]
+        """What the taxels' readings pass."""
+        self.past = Past(config.history)
         entries = [  # term and name of each
-            (term, f"{TERMS[term].what} {entry}")
-            for term in self._terms
-            for entry in TERMS[term].entries(hand)
+            (name, f"{term.what} {entry}")
+            for name, term in self._terms.items()
+            for entry in term.entries(hand)
         ]
         taxels = [("taxels", f"taxel {name}") for name in taxel_names]
         names: list[str] = []
@@ -392,25 +438,43 @@ class Observer:
         """Return indices of the newest entries of these terms, if the hand has them, or "taxels"."""
         return np.flatnonzero(np.isin(self._term_of_entry, terms))
 
-    def reset(self, rng: np.random.Generator) -> None:
+    def reset(self, rng: Any) -> None:
         """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
-        self._sight.reset(sight)
-        if self._joints is not None:
-            self._joints.reset(joints)
-        for stage in (*self._stages, *self._past):
-            stage.reset(taxels)
+        self.reset_senses(sight, joints)
+        self.reset_taxels(taxels)
+
+    def reset_senses(self, sight: Any, joints: Any) -> None:
+        """Begin a new episode of what is sensed but for the taxels."""
+        for sense, rng in zip(self.senses, (sight, joints), strict=False):
+            sense.reset(rng)
+        self.past.reset(joints)
+
+    def reset_taxels(self, rng: Any) -> None:
+        """Begin a new episode of the taxels."""
+        for stage in self.stages:
+            stage.reset(rng)
 
     def observe(self, state: State, taxels: Array) -> Array:
         """Return the observation (n,) float32 of a state and taxel readings; once a control step."""
-        sensed = self._sight(state)
-        if self._joints is not None:
-            sensed = self._joints(sensed)
-        terms = [TERMS[term].read(self.hand, sensed) for term in self._terms]
-        for stage in self._stages:
-            taxels = stage(taxels)
-        obs = self._past[0](np.concatenate(terms)), self._past[1](taxels)
+        obs = self.sense(state), self.feel(taxels)
         return np.concatenate(obs, dtype=np.float32, casting="same_kind")
+
+    def sense(self, state: State) -> Array:
+        """Return the observation (..., m) of a state without its taxels; once a control step."""
+        for sense in self.senses:
+            state = sense(state)
+        terms = [
+            like(term.read(self.hand, state), state.palm)
+            for term in self._terms.values()
+        ]
+        return self.past(namespace(state.palm).concatenate(terms, axis=-1))
+
+    def feel(self, taxels: Array) -> Array:
+        """Return what the policy is told of the taxels' readings; once a control step."""
+        for stage in self.stages:
+            taxels = stage(taxels)
+        return taxels
 
 
 STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [

@@ -3,21 +3,25 @@
 A task owns all of that, its thresholds and its hold test. The environment calls `start` and `reset`
 when an episode begins, then `before_step` and `after_step` around each action. Rewards are pure
 functions of the achieved and the desired goal, so that hindsight relabelling can recompute them.
+One task plays one episode, or as many side by side: arrays then have a leading axis (...).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from .hands import Hand
 from .hold import LOOK_STEPS, OUT_OF_REACH, HoldTest, Verdict
-from .objects import bounds, require_ends
+from .objects import Items, ObjectConfig, Shape, bounds, require_ends
+from .observations import Term
 from .simulators import Giver, Simulator
-from .state import Array, Shape, State
+from .state import Array, State
 from .validation import allow_only_with, require_one_of
 
 # m beyond where fingertips get: lost, and missed
@@ -102,8 +106,22 @@ class Task(ABC):
     """Spring that carries the object before the hand has it; None where nobody does."""
     goal_size: int
     """Length of achieved and desired goals."""
+    lost: Outcome = "missed"
+    """Outcome where the hold test fails."""
     only_goal: Array | None = None
     """Desired goal (goal_size,) of every episode; None where they differ."""
+    observation_terms: Mapping[str, Term] = MappingProxyType({})
+    """Terms of the observation besides the hand's, by name."""
+    is_batched: ClassVar[bool] = False
+    """True if this very class plays many episodes side by side too (`batch.BatchEnv`). They are told
+    no poses of links, and of contacts only where `by_contacts` asks for them."""
+    by_contacts: ClassVar[bool] = False
+    """True if the task looks at contacts."""
+
+    @classmethod
+    def items(cls, config: ObjectConfig) -> Items:
+        """Return the objects of its episodes: usually, what the scene says."""
+        return Items(config)
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
@@ -125,9 +143,7 @@ class Task(ABC):
             out_of_reach=max(OUT_OF_REACH, hand.reach + BEYOND_REACH),
         )
 
-    def start(
-        self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
-    ) -> Start:
+    def start(self, usual: Start, palm: Array, shape: Shape, rng: Any) -> Start:
         """Return the start of an episode.
 
         Usually the hand is open above an object on the ground, both a little moved. `palm` (3,) is a
@@ -136,26 +152,39 @@ class Task(ABC):
         return usual
 
     @abstractmethod
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Return (achieved, desired goal) of a new episode, each (goal_size,)."""
 
     def before_step(self, simulator: Simulator, step: int) -> None:
         """Do what others do before the hand's action number `step`, or at the start (0)."""
+        goal, sets_off, lets_go = self.giving(step)
+        if sets_off:
+            simulator.carry(goal)
+        if lets_go:
+            simulator.let_go()
+
+    def giving(self, step: Any) -> tuple[Array, Any, Any]:
+        """Return to where (..., 3) the giver carries the object, and where it sets off or lets go now.
+
+        `step` (...) is the number of the hand's next action, 0 at the start, below 0 where none is due.
+        """
+        return np.zeros(3), False, False
 
     @abstractmethod
-    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
-        """Return the goal achieved (goal_size,) with an action, and True if the episode ends here.
+    def after_step(self, state: State, is_last: Any) -> tuple[Array, Any]:
+        """Return the goal achieved (..., goal_size) with an action, and True if the episode ends here.
 
         `is_last` says that it is the episode's last action; the end is by the task's own rules.
         """
 
-    def is_hold_due(self, state: State) -> bool:
+    def is_hold_due(self, state: State) -> Any:
         """Tell whether the hold test decides the episode now, after a step that did not end it."""
         return False
 
-    def after_hold(self, state: State, is_held: bool) -> Array:
-        """Return the goal achieved (goal_size,) in an episode that a hold test has ended."""
-        raise NotImplementedError
+    def after_hold(self, achieved_goal: Array, is_held: Any) -> Array:
+        """Return the goal achieved by a hold test, from that of the step before it."""
+        outcome = np.where(is_held, OUTCOMES["held"], OUTCOMES[self.lost])
+        return np.concatenate([achieved_goal[..., :-1], outcome[..., None]], axis=-1)
 
     @abstractmethod
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
@@ -169,6 +198,7 @@ class Task(ABC):
 class ReachGoal(Task):
     """Bring the object to a place above the ground and keep it there (paper, MuJoCo set-up)."""
 
+    is_batched = True
     rewards = ("sparse", "dense")
     options = ("goal_range", "goal_height", "goal_tolerance")
     max_episode_steps = 20
@@ -183,13 +213,13 @@ class ReachGoal(Task):
                 f"{config.goal_height:g} m"
             )
 
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Draw the goal above where the first object rests."""
         goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
         furthest = self.config.goal_range
-        return state.object_position, goal + rng.uniform(-furthest, furthest, 3)
+        return state.object_position, goal + rng.uniform(-furthest, furthest, size=3)
 
-    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(self, state: State, is_last: Any) -> tuple[Array, Any]:
         """Return the object's place; the episode goes on until its last action."""
         return state.object_position, False
 
@@ -228,7 +258,8 @@ class LiftAndHold(Task):
     only, so relabelling an episode leaves its rewards as they are.
     """
 
-    rewards = ("staged",)
+    is_batched = True
+    rewards, lost = ("staged",), "dropped"
     options = ("lift_clearance",)
     max_episode_steps = 100
     finger_weight: ClassVar[float] = 0.2
@@ -244,31 +275,34 @@ class LiftAndHold(Task):
             np.zeros(self.goal_size - 1), OUTCOMES["held"]
         )
 
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Return the goals of an episode in which nothing has been lifted yet."""
         self._is_off_ground = False
-        return self._achieved(state, "undecided"), self.only_goal
+        return self._achieved(state, OUTCOMES["undecided"]), self.only_goal
 
-    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(self, state: State, is_last: Any) -> tuple[Array, Any]:
         """Return the distances and the outcome; too late a lift ends the episode with a verdict."""
-        was_off_ground = self._is_off_ground
-        self._is_off_ground = state.clearance > OFF_GROUND
-        if is_last and not self.is_hold_due(state):
-            return self._achieved(state, "timed_out"), True
-        has_fallen = was_off_ground and not self._is_off_ground
-        return self._achieved(state, "fell_back" if has_fallen else "undecided"), False
+        was_off_ground, self._is_off_ground = (
+            self._is_off_ground,
+            state.clearance > OFF_GROUND,
+        )
+        is_late = is_last & ~self.is_hold_due(state)
+        has_fallen = was_off_ground & ~self._is_off_ground
+        outcome = np.where(has_fallen, OUTCOMES["fell_back"], OUTCOMES["undecided"])
+        return self._achieved(
+            state, np.where(is_late, OUTCOMES["timed_out"], outcome)
+        ), is_late
 
-    def is_hold_due(self, state: State) -> bool:
+    def is_hold_due(self, state: State) -> Any:
         """Tell whether the object is lifted."""
         return state.clearance > self.config.lift_clearance
 
-    def after_hold(self, state: State, is_held: bool) -> Array:
-        """Return the distances and whether the object was held or dropped."""
-        return self._achieved(state, "held" if is_held else "dropped")
-
-    def _achieved(self, state: State, outcome: Outcome) -> Array:
-        points = np.vstack([state.palm, state.fingertips])
-        return np.append(_distance(points, state.object_position), OUTCOMES[outcome])
+    def _achieved(self, state: State, outcome: Any) -> Array:
+        points = np.concatenate([state.palm[..., None, :], state.fingertips], axis=-2)
+        away = _distance(points, state.object_position[..., None, :])
+        return np.concatenate(
+            [away, np.broadcast_to(outcome, away.shape[:-1])[..., None]], axis=-1
+        )
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return the closeness of palm and fingertips until a lift, as the paper does.
@@ -298,6 +332,7 @@ class Handover(Task):
     is missed when it falls; if it is still in the hand a little later, the hold test decides.
     """
 
+    is_batched = True
     rewards = ("outcome",)
     options = ("handover_reach", "giver_force")
     max_episode_steps = 60
@@ -315,8 +350,8 @@ class Handover(Task):
     """Actions from letting go to the hold test."""
     fallen: float = 0.2
     """m from the palm, or more where fingertips get further: it was missed."""
-    sets_off: int
-    """Before which action the giver does so in this episode."""
+    sets_off: Any
+    """Before which action (...) the giver does so in this episode."""
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
@@ -348,60 +383,48 @@ class Handover(Task):
         self.giver = replace(self.giver, force=force)
         self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)
 
-    def start(
-        self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
-    ) -> Start:
+    def start(self, usual: Start, palm: Array, shape: Shape, rng: Any) -> Start:
         """Return a start with the object below the place where it will touch the hand."""
-        x, y, _ = usual.position  # fingers point along -y
+        x, y, _ = np.moveaxis(usual.position, -1, 0)  # fingers point along -y
         nearest, furthest = bounds("handover_reach", self.config.handover_reach)
         reach = rng.uniform(nearest, furthest) if nearest < furthest else nearest
-        under = [x, y - reach, -shape.half_size[2] - self.below]
-        return usual._replace(position=palm + np.array(under))
+        under = np.broadcast_arrays(x, y - reach, -shape.half_size[2] - self.below)
+        return usual._replace(position=palm + np.stack(under, axis=-1))
 
-    def reset(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+    def reset(self, state: State, rng: Any) -> tuple[Array, Array]:
         """Draw when the giver sets off."""
-        self.sets_off = int(rng.integers(*self.waits, endpoint=True))
+        self.sets_off = rng.integers(*self.waits, endpoint=True)
         self._wait = state.object_position
-        return _outcome("undecided"), self.only_goal
+        return np.zeros((*state.palm.shape[:-1], 1)), self.only_goal
 
-    def before_step(self, simulator: Simulator, step: int) -> None:
+    def giving(self, step: Any) -> tuple[Array, Any, Any]:
         """Let the giver wait, set off or let go."""
         self._step = step
-        if step == 0:
-            simulator.carry(self._wait)
-        elif step == self.sets_off:
-            simulator.carry(self._wait + np.array([0.0, 0.0, self.below + self.beyond]))
-        elif step == self.sets_off + self.stays:
-            simulator.let_go()
+        up = np.array([0.0, 0.0, self.below + self.beyond])
+        goal = self._wait + np.multiply.outer(step != 0, up)
+        sets_off = (step == 0) | (step == self.sets_off)
+        return goal, sets_off, self._since_letting_go == 0
 
-    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(self, state: State, is_last: Any) -> tuple[Array, Any]:
         """Return the outcome: missed where the object fell after the giver let go."""
         is_far = _distance(state.palm, state.object_position) > self.fallen
-        if self._since_letting_go >= 0 and is_far:
-            return _outcome("missed"), True
-        return _outcome("undecided"), False
+        is_missed = (self._since_letting_go >= 0) & is_far
+        return np.where(is_missed, OUTCOMES["missed"], OUTCOMES["undecided"])[
+            ..., None
+        ], is_missed
 
-    def is_hold_due(self, state: State) -> bool:
+    def is_hold_due(self, state: State) -> Any:
         """Tell whether the giver let go long enough ago."""
         return self._since_letting_go >= self.settles
 
-    def after_hold(self, state: State, is_held: bool) -> Array:
-        """Return the outcome: held or missed."""
-        return _outcome("held" if is_held else "missed")
-
     @property
-    def _since_letting_go(self) -> int:
+    def _since_letting_go(self) -> Any:
         """Number of actions since the giver let go."""
         return self._step - self.sets_off - self.stays
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return 1000 for an object that is held in the end, -100 for one that is missed."""
         return _by_outcome(achieved_goal, 0.0, missed=-100.0, held=1000.0)
-
-
-def _outcome(name: Outcome) -> Array:
-    """Return a goal of handover."""
-    return np.array([OUTCOMES[name]])
 
 
 def _by_outcome(goals: Array, otherwise: Any, **rewards: Any) -> Array:

@@ -22,11 +22,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
 from .hands import Hand, Surface
 from .layouts import Taxels
+from .objects import host, namespace
 from .simulators import Sensor
 from .state import Array, State
 
@@ -41,7 +44,7 @@ class LinkPoints:
     """Points that ride on links; where they are follows from the links' poses in one product.
 
     Row i of the blocks (n, 4k) holds point i's homogeneous coordinates in the four columns of its
-    link; the poses stack to (4k, 3).
+    link; the poses stack to (..., 4k, 3).
     """
 
     def __init__(
@@ -56,20 +59,23 @@ class LinkPoints:
         self._blocks = blocks.reshape(n, 4 * k)
 
     def world(self, state: State) -> Array:
-        """Return the points in the world's frame, (n, 3), m."""
+        """Return the points in the world's frame, (..., n, 3), m."""
         return self._blocks @ _stacked(*state.poses(self.links))
 
     def local(self, state: State) -> Array:
-        """Return the points in the object's frame, (n, 3), m."""
+        """Return the points in the object's frame, (..., n, 3), m."""
         positions, rotations = state.poses(self.links)
-        from_object = _stacked(positions - state.object_position, rotations)
+        from_object = _stacked(
+            positions - state.object_position[..., None, :], rotations
+        )
         return self._blocks @ (from_object @ state.object_rotation)
 
 
 def _stacked(positions: Array, rotations: Array) -> Array:
-    """Return poses (k, 3), (k, 3, 3) as the factor (4k, 3) of `LinkPoints`."""
-    poses = [rotations.swapaxes(1, 2), positions[:, None]]
-    return np.concatenate(poses, axis=1).reshape(-1, 3)
+    """Return poses (..., k, 3), (..., k, 3, 3) as the factor (..., 4k, 3) of `LinkPoints`."""
+    poses = [rotations.swapaxes(-1, -2), positions[..., None, :]]
+    stacked: Array = namespace(positions).concatenate(poses, axis=-2)
+    return stacked.reshape(*stacked.shape[:-3], -1, 3)
 
 
 def taxel_points(taxels: Taxels) -> LinkPoints:
@@ -90,6 +96,10 @@ class Rule(ABC):
     """True if the readings are 0 or 1."""
     by_sensors: bool = False
     """True if the rule reads sensors that the simulator has where the taxels are."""
+    by_contacts: bool = False
+    """True if the rule reads the state's contacts."""
+    is_batched: bool = False
+    """True if this very class reads states of many scenes, PyTorch's, too (`batch.BatchEnv`)."""
 
     @abstractmethod
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
@@ -100,58 +110,47 @@ class Rule(ABC):
 
     @abstractmethod
     def read(self, state: State) -> Array:
-        """Return the readings of the taxels, (n_taxels,)."""
+        """Return the readings of the taxels, (..., n_taxels)."""
 
 
 class SkinTouch(Rule):
     """Rule "skin" for the taxels of one layout on one hand. It remembers no reading.
 
-    The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of the object when
-    one of many points along the bone is within radius + `SKIN`. The skin of a taxel on a flat palm is
-    the disc in which its sphere meets the plane; what lies above that and up to `SKIN` from it is the
-    cap of a larger sphere, whose centre is then the one point of a "bone". Of any other link, the skin
+    A taxel is on when its sphere overlaps the object and one of some points is near enough to it: the
+    points of its skin. The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of
+    the object when one of many points along the bone is within radius + `SKIN`. The skin of a taxel on
+    a flat palm is the disc in which its sphere meets the plane; what lies above that and up to `SKIN`
+    from it is the cap of a larger sphere, whose centre is the only point. Of any other link, the skin
     of a taxel is the geom that is nearest to it, whose distance MuJoCo computes.
     """
 
+    is_batched = True
+
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        """Find the bone of each taxel, which taxels on one phalanx share."""
+        """Find the points of each taxel's skin, of which those on one phalanx share all."""
         surfaces = [hand.surfaces[index] for index in taxels.surfaces]
         self._shaped = _Shaped(taxels, surfaces)
-        bones: dict[int | str, tuple[Array, float]] = {}  # points (m, 3), reach
-        links, keys = [], []
-        for taxel, surface in enumerate(surfaces):
-            is_shared = surface.bone is not None and not surface.geoms
-            keys.append(surface.link if is_shared else taxel)
-            if keys[-1] in bones:
-                continue
-            position, radius = taxels.positions[taxel], taxels.radii[taxel]
-            if is_shared:
-                bone = _along(surface)
-            elif surface.geoms:
-                bone = position[None], radius  # `_Shaped` looks closer
-            else:
-                bone = _cap(position, radius, taxels.normals[taxel])
-            bones[keys[-1]] = bone
-            links.append(taxels.link_index[taxel])
-        self._bone = [list(bones).index(key) for key in keys]
-        points, reaches = zip(*bones.values(), strict=True)
-        sizes = [len(along) for along in points]
-        self._first = np.cumsum([0, *sizes[:-1]])
+        own = np.column_stack([taxels.link_index, taxels.positions, taxels.radii])
+        rows = [
+            np.array([(row[0], *point, reach) for point in points])
+            for row, surface, normal in zip(own, surfaces, taxels.normals, strict=True)
+            for points, reach in [_skin(surface, row[1:4], normal, row[4])]
+        ]
+        longest = np.arange(max(map(len, rows)))
+        skins = [skin[np.minimum(longest, len(skin) - 1)] for skin in rows]
+        both = np.concatenate([own[:, None], skins], axis=1)  # a taxel, then its skin
+        points, index = np.unique(both.reshape(-1, 5), axis=0, return_inverse=True)
+        self._index = index.reshape(both.shape[:2]).T
         self._points = LinkPoints(
-            taxels.links,
-            np.concatenate([taxels.link_index, np.repeat(links, sizes)]),
-            np.concatenate([taxels.positions, *points]),
+            taxels.links, points[:, 0].astype(int), points[:, 1:4]
         )
-        reaches = np.concatenate([taxels.radii, np.repeat(reaches, sizes)])
-        self._squared_reaches = reaches**2
+        self._squared_reaches = points[:, 4] ** 2
 
     def read(self, state: State) -> Array:
-        """Return which taxels are on, bool (n_taxels,)."""
+        """Return which taxels are on, bool (..., n_taxels)."""
         distances = state.shape.squared_distance(self._points.local(state))
-        in_reach = distances <= self._squared_reaches
-        n = len(self._bone)
-        touches = np.logical_or.reduceat(in_reach[n:], self._first)
-        is_on = in_reach[:n] & touches[self._bone]
+        is_near = (distances <= self._squared_reaches)[..., self._index]
+        is_on: Array = is_near[..., 0, :] & is_near[..., 1:, :].any(-2)
         self._shaped.correct(is_on, state)
         return is_on
 
@@ -163,7 +162,6 @@ class _Shaped:
         """Find the geom of its link that is nearest to each taxel."""
         from .hands.geometry import Distances  # imports MuJoCo
 
-        self._taxels = taxels
         self._distances: dict[str, Distances] = {}
         self._taxels_of_geom: dict[tuple[str, int], list[int]] = {}
         for taxel, surface in enumerate(surfaces):
@@ -176,36 +174,43 @@ class _Shaped:
             self._taxels_of_geom.setdefault((link, geom), []).append(taxel)
 
     def correct(self, is_on: Array, state: State) -> None:
-        """Turn off in `is_on` (n,) the taxels on geoms that do not touch the object."""
-        positions, rotations = state.poses(self._taxels.links)
-        place = state.object_position, state.object_rotation
-        for (link, geom), taxels in self._taxels_of_geom.items():
-            index = self._taxels.link_index[taxels[0]]
-            pose = positions[index], rotations[index]
-            if is_on[taxels].any() and not self._distances[link].within(
-                geom, *pose, state.shape, *place, SKIN
-            ):
-                is_on[taxels] = False
+        """Turn off in `is_on` (..., n) the taxels on geoms that do not touch the object."""
+        if not self._taxels_of_geom:
+            return
+        now, is_many = host(is_on), is_on.ndim > 1
+        state = state.map(host) if is_many else state
+        for index in map(tuple, np.argwhere(now.any(-1))):
+            on, one = now[index], state.map(itemgetter(index)) if is_many else state
+            item = one.shape, one.object_position, one.object_rotation
+            for (link, geom), taxels in self._taxels_of_geom.items():
+                positions, rotations = one.poses((link,))
+                away = self._distances[link]
+                if on[taxels].any() and not away.within(
+                    geom, positions[0], rotations[0], *item, SKIN
+                ):
+                    on[taxels] = False
+        if is_many:
+            is_on[:] = namespace(is_on).asarray(now)
 
 
-def _along(phalanx: Surface) -> tuple[Array, float]:
-    """Return points (m, 3) along a bone, and how near the object must be to one of them.
+def _skin(
+    surface: Surface, position: Array, normal: Array, radius: float
+) -> tuple[Array, float]:
+    """Return points (m, 3) of a taxel's skin, and how near the object must be to one of them.
 
-    From a convex body at least `radius` away, a line's distance grows by no more than
+    From a convex body at least `radius` away, the distance of a line along a bone grows by no more than
     s² / (2 radius) within s of where it is least.
     """
-    assert phalanx.bone is not None
-    assert phalanx.radius is not None
-    begin, end = np.array(phalanx.bone)
-    spacing = 2 * math.sqrt(2 * phalanx.radius * BONE_TOLERANCE)
+    if surface.geoms:  # `_Shaped` looks closer
+        return position[None], radius
+    if surface.bone is None:  # a cap that stands `SKIN` proud of a disc
+        sphere = (radius**2 + SKIN**2) / (2 * SKIN)
+        return (position - (sphere - SKIN) * normal)[None], sphere
+    assert surface.radius is not None
+    begin, end = np.array(surface.bone)
+    spacing = 2 * math.sqrt(2 * surface.radius * BONE_TOLERANCE)
     shares = np.linspace(0.0, 1.0, math.ceil(np.linalg.norm(end - begin) / spacing) + 1)
-    return begin + shares[:, None] * (end - begin), phalanx.radius + SKIN
-
-
-def _cap(position: Array, radius: float, normal: Array) -> tuple[Array, float]:
-    """Return centre (1, 3) and radius of the sphere whose cap stands `SKIN` proud of a disc."""
-    sphere = (radius**2 + SKIN**2) / (2 * SKIN)
-    return (position - (sphere - SKIN) * normal)[None], sphere
+    return begin + shares[:, None] * (end - begin), surface.radius + SKIN
 
 
 class ContactRule(Rule):
@@ -224,46 +229,50 @@ class ContactRule(Rule):
 class ForceRule(SkinTouch):
     """Rule "force": the normal force that each taxel alone would carry, N."""
 
-    is_boolean = False
+    is_boolean, by_contacts, is_batched = False, True, True
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         """Prepare the rule "skin" and the taxels' centres."""
         super().__init__(taxels, hand)
-        self._taxels, self._centres = taxels, taxel_points(taxels)
+        self._centres, self._link = taxel_points(taxels), taxels.link_index
+        self._normals, self._radii = taxels.normals[:, :, None], taxels.radii
 
     def read(self, state: State) -> Array:
-        """Return the force on each taxel, N (n_taxels,)."""
+        """Return the force on each taxel, N (..., n_taxels)."""
         is_on, forces = self.feel(state)
-        return np.where(is_on, forces, 0.0)
+        return is_on * forces
 
     def feel(self, state: State) -> tuple[Array, Array]:
-        """Return which taxels are on by rule "skin", bool (n,), and the force on each, N (n,).
+        """Return which taxels are on by rule "skin", bool (..., n), and the force on each, N (..., n).
 
         A taxel with a threshold fires where it is on and carries as much.
         """
-        taxels, contacts = self._taxels, state.contacts
-        is_on, forces = super().read(state), np.zeros(len(taxels))
-        if not (is_on.any() and len(contacts.forces)):
-            return is_on, forces
-        _, rotations = state.poses(taxels.links)
-        normals = rotations[taxels.link_index] @ taxels.normals[:, :, None]
-        along = np.maximum(normals[:, :, 0] @ contacts.normals.T, 0.0)
-        pressing = along * contacts.forces  # (n, k), N along the normals of taxels
-        totals = pressing.sum(axis=1)
-        middles = pressing @ contacts.points / np.maximum(totals, EPSILON)[:, None]
+        is_on, (points, _, pushes, outward) = super().read(state), state.contacts
+        if not (is_on.any() and pushes.shape[-1]):
+            return is_on, is_on * 0.0
+        xp, (_, rotations) = namespace(is_on), state.poses(self._centres.links)
+        normals = (rotations[..., self._link, :, :] @ self._normals)[..., 0]
+        along = (normals @ outward.swapaxes(-1, -2)).clip(0.0)
+        pressing = (
+            along * pushes[..., None, :]
+        )  # (..., n, k), N along the normals of taxels
+        totals = pressing.sum(-1)
+        middles = pressing @ points / totals.clip(EPSILON)[..., None]
         offsets = self._centres.world(state) - middles
-        distances = np.linalg.norm(offsets, axis=1)
-        ways = offsets / np.maximum(distances, EPSILON)[:, None]
-        beyond = np.einsum("ni,nki->nk", ways, middles[:, None] - contacts.points)
-        rims = PATCH + np.maximum(beyond * (along > 0), 0.0).max(axis=1)
-        arms = np.maximum(distances - taxels.radii, 0.0)
+        distances = xp.linalg.norm(offsets, axis=-1)
+        ways = offsets / distances.clip(EPSILON)[..., None]
+        away = middles[..., None, :] - points[..., None, :, :]
+        beyond = xp.einsum("...ni,...nki->...nk", ways, away)
+        rims = PATCH + xp.amax((beyond * (along > 0)).clip(0.0), axis=-1)
+        arms = (distances - self._radii).clip(0.0)
         return is_on, totals * rims / (rims + arms)
 
 
 class ThresholdTouch(ForceRule):
     """Rule "skin" for sensors that fire from a force up, and stop below another."""
 
-    is_boolean = True
+    is_boolean, is_batched = True, True
+    _fires: Any
 
     def __init__(
         self, taxels: Taxels, hand: Hand, thresholds: Array, releases: Array
@@ -275,13 +284,15 @@ class ThresholdTouch(ForceRule):
 
     def reset(self) -> None:
         """Forget which taxels fired."""
-        self._fires = np.zeros(len(self._taxels), bool)
+        self._fires = False
 
     def read(self, state: State) -> Array:
-        """Return which taxels fire, bool (n,); a second call at the same moment changes nothing."""
+        """Return which taxels fire, bool (..., n); a second call at the same moment changes nothing."""
         is_on, forces = self.feel(state)
-        needed = np.where(self._fires, self._releases, self._thresholds)
-        self._fires = is_on & (forces >= needed)
+        held = is_on & self._fires
+        self._fires = is_on & (
+            forces >= namespace(is_on).where(held, self._releases, self._thresholds)
+        )
         return self._fires
 
 

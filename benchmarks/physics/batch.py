@@ -20,6 +20,7 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -139,13 +140,14 @@ def compare_taxels(env: BatchEnv, plain: list[GraspEnv], n: int, compared: int) 
     """Return taxels that read alike, that are on, and all, (n_groups, 3), in states put into MuJoCo."""
     state, counts = env.simulator.state(), []
     felt = env.taxel_readings().cpu().numpy() > 0
-    tensors = state.joint_positions, state.object_position, state.object_orientation
+    tensors: Any = state.joint_positions, state.object_position, state.object_orientation
     parts = [part.cpu().numpy().astype(float) for part in tensors]
     for number, single in enumerate(plain):
         count = np.zeros(3, int)
         for i in range(number * n, number * n + min(n, compared)):
-            item, simulator = env._items[i], single.simulator
-            simulator.change_object(item.shape, item.mass, item.friction)
+            simulator, measures = single.simulator, state.shape.half_size
+            shape = replace(state.shape, half_size=tuple(float(part[i]) for part in measures))
+            simulator.change_object(shape, simulator.scene.mass, simulator.scene.friction)
             simulator.place(*(part[i] for part in parts))  # type: ignore[attr-defined]
             seen = single.taxel_readings()
             count += (int((seen == felt[i, : len(seen)]).sum()), int(seen.sum()), len(seen))
@@ -192,8 +194,8 @@ def physics(
         hand, [(setting(hand, timestep), len(seeds))], device, AutoresetMode.DISABLED, **options
     )
     env.reset(seed=seeds)
-    env._task._sets_off[:], env.max_episode_steps = 20, 10**6
-    env.task.settles, env.task.fallen = 10**6, 10.0  # type: ignore[attr-defined]
+    task: Any = env.task
+    task.sets_off, env.max_episode_steps, task.settles, task.fallen = 20, 10**6, 10**6, 10.0
     start = time.perf_counter()
     places = _ends(env, lambda: env._look()[1])
     seconds = (time.perf_counter() - start) / len(places)

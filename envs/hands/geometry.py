@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ..state import KINDS as OBJECT_KINDS
-from ..state import Array, Shape
+from ..objects import KINDS as OBJECT_KINDS
+from ..objects import Shape
+from ..state import Array
 
 BEYOND_ANY_HAND = 0.5  # m: beyond any hand
 STEP = 1e-4  # m, of differences

@@ -14,7 +14,8 @@ import numpy as np
 
 from .. import plugins
 from ..hands import Hand
-from ..state import Array, Shape, State, places
+from ..objects import Shape
+from ..state import Array, State, places
 
 if TYPE_CHECKING:
     import mujoco

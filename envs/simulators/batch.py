@@ -9,46 +9,18 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..state import Array, Kind, Shape
+from ..objects import Kind, Shape
+from ..state import Array, Contacts, State
 from . import Scene, SimulationError
 from .mujoco import MujocoSimulator
 
 MAX_CONTACTS = 32  # of hand and object in a world
-
-
-class BatchContacts(NamedTuple):
-    """Contacts at which hands press on objects, k a world; where there are fewer, forces are 0."""
-
-    points: Tensor
-    """Places (n, k, 3), m."""
-    forces: Tensor
-    """Normal forces (n, k), N."""
-    normals: Tensor
-    """Unit normals (n, k, 3), from the hand into the object."""
-
-
-class BatchState(NamedTuple):
-    """`State` with a leading axis of worlds; its fields mean the same."""
-
-    half_size: Tensor
-    """Half extents (n, 3) of the objects, m."""
-    object_position: Tensor
-    object_rotation: Tensor
-    object_orientation: Tensor
-    link_positions: Tensor
-    link_rotations: Tensor
-    palm: Tensor
-    fingertips: Tensor
-    joint_positions: Tensor
-    joint_velocities: Tensor
-    contacts: BatchContacts | None
-    """None unless they were asked for."""
 
 
 class BatchSimulator(ABC):
@@ -97,8 +69,11 @@ class BatchSimulator(ABC):
         """Find which worlds diverged or overflowed in the last step."""
 
     @abstractmethod
-    def state(self, with_contacts: bool = False) -> BatchState:
-        """Return what is true now; valid until the next step or reset."""
+    def state(self, with_contacts: bool = False) -> State:
+        """Return what is true now, in tensors (n, ...); valid until the next step or reset.
+
+        Targets and sensors are empty, and contacts too unless they are asked for.
+        """
 
     @abstractmethod
     def carry(self, which: Array, goal: Array) -> None:
@@ -113,8 +88,10 @@ class BatchSimulator(ABC):
         """Make what sticks creep `factor` (n,) times as fast as in the scene as it is built."""
 
     def tensor(self, values: Any) -> Tensor:
-        """Return numbers on the device, in the simulator's precision."""
-        return torch.as_tensor(np.asarray(values), dtype=self.dtype, device=self.device)
+        """Return an array on the device; numbers that are not whole have the simulator's precision."""
+        values = np.asarray(values)
+        dtype = self.dtype if values.dtype.kind == "f" else None
+        return torch.as_tensor(values, dtype=dtype, device=self.device)
 
     def close(self) -> None:
         """Release what is held outside Python."""
@@ -177,30 +154,30 @@ class LoopSimulator(BatchSimulator):
         for world, value in zip(self.worlds, factor.tolist(), strict=True):
             world.set_creep(value)
 
-    def state(self, with_contacts: bool = False) -> BatchState:
+    def state(self, with_contacts: bool = False) -> State:
         """Stack the worlds' states."""
-        states = [world.state() for world in self.worlds]
-        fields = set(BatchState._fields) - {"half_size", "contacts"}
-        stacked = {
+        states, room = (
+            [world.state() for world in self.worlds],
+            MAX_CONTACTS if with_contacts else 0,
+        )
+        parts = states[0].contacts
+        contacts = [
+            np.zeros((self.n, room, *part.shape[1:]), part.dtype) for part in parts
+        ]
+        for i, state in enumerate(states):
+            for whole, part in zip(contacts, state.contacts, strict=True):
+                whole[i, : len(part)] = part[:room]
+        apart = "shape", "links", "contacts", "targets", "sensors"
+        stacked: dict[str, Any] = {
             name: self.tensor([getattr(state, name) for state in states])
-            for name in fields
+            for name in vars(states[0])
+            if name not in apart
         }
+        stacked["targets"] = stacked["sensors"] = self.tensor(np.zeros((self.n, 0)))
         half_size = self.tensor([state.shape.half_size for state in states])
-        contacts = None
-        if with_contacts:
-            padded = [
-                [
-                    np.zeros((MAX_CONTACTS, *value.shape[1:]))
-                    for value in states[0].contacts
-                ]
-                for _ in states
-            ]
-            for state, rows in zip(states, padded, strict=True):
-                for row, value in zip(rows, state.contacts, strict=True):
-                    row[: len(value)] = value[:MAX_CONTACTS]
-            points, _, forces, normals = map(self.tensor, zip(*padded, strict=True))
-            contacts = BatchContacts(points, forces, normals)
-        return BatchState(half_size=half_size, contacts=contacts, **stacked)
+        stacked["shape"] = Shape(self.kind, tuple(half_size.T))  # type: ignore[arg-type]
+        stacked["contacts"] = Contacts(*map(self.tensor, contacts))  # type: ignore[arg-type]
+        return State(links=self.links, **stacked)
 
     def close(self) -> None:
         """Close each world."""

@@ -18,7 +18,8 @@ import numpy as np
 
 from ..hands import model_file
 from ..hands.mount import GIVER, GROUND, OBJECT, hold
-from ..state import Array, Contacts, Shape, State
+from ..objects import Shape
+from ..state import Array, Contacts, State
 from . import (
     Camera,
     Scene,

@@ -28,7 +28,8 @@ from scipy.spatial.transform import Rotation
 from ..hands import model_file
 from ..hands.hand import Coupling
 from ..hands.mount import servo_figures
-from ..state import Array, Contacts, Shape, State, places
+from ..objects import Shape
+from ..state import Array, Contacts, State, places
 from . import Camera, Scene, SimulationError, Simulator, Sphere, joint_limits, urdf
 from .mujoco import MujocoSimulator
 

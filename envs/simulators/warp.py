@@ -16,9 +16,10 @@ import torch
 import warp
 from torch import Tensor
 
-from ..state import Array
+from ..objects import Shape
+from ..state import Array, Contacts, State
 from . import Scene
-from .batch import MAX_CONTACTS, BatchContacts, BatchSimulator, BatchState
+from .batch import MAX_CONTACTS, BatchSimulator
 from .mujoco import FRICTION_TO_NORMAL_IMPEDANCE, GIVERS_GROUP, MujocoSimulator
 
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
@@ -114,7 +115,7 @@ class WarpSimulator(BatchSimulator):
         )
         self._half_size = self.tensor(np.tile(scene.shape.half_size, (n, 1)))
         self._weight = self.tensor(np.full(n, scene.mass * -host.opt.gravity[2]))
-        self._kept: list[tuple[Tensor, BatchContacts]] = []
+        self._kept: list[tuple[Tensor, Contacts]] = []
         self._fresh = torch.ones(n, dtype=torch.bool, device=self.device)
         self.diverged, self.overflowed = np.zeros(n, bool), np.zeros(n, bool)
 
@@ -273,27 +274,41 @@ class WarpSimulator(BatchSimulator):
         invsqrt = np.sqrt(factor) / math.sqrt(FRICTION_TO_NORMAL_IMPEDANCE)
         self._creep[:] = self.tensor(invsqrt).reshape(self._creep.shape)
 
-    def state(self, with_contacts: bool = False) -> BatchState:
+    def state(self, with_contacts: bool = False) -> State:
         """Read the worlds' arrays."""
         self.wants_contacts, body = with_contacts, self.plain._object_body
         positions, rotations = self._xpos[:, 1:body], self._xmat[:, 1:body]
         on_links = (rotations[:, self._on_links] @ self._points)[..., 0]
         placed = positions[:, self._on_links] + on_links
-        return BatchState(
-            half_size=self._half_size,
-            object_position=self._xpos[:, body],
-            object_rotation=self._xmat[:, body],
-            object_orientation=self._xquat[:, body],
-            link_positions=positions,
-            link_rotations=rotations,
-            palm=placed[:, 0],
-            fingertips=placed[:, 1:],
-            joint_positions=self._qpos[:, self._qpos_of],
-            joint_velocities=self._qvel[:, self._qvel_of],
-            contacts=self._contacts() if with_contacts else None,
+        turning = self._xmat[:, body] @ self._qvel[:, -3:, None]
+        nothing: Any = self._qpos[:, :0]
+        values: dict[str, Any] = {
+            "object_position": self._xpos[:, body],
+            "object_rotation": self._xmat[:, body],
+            "object_orientation": self._xquat[:, body],
+            "object_velocity": self._qvel[:, -6:-3],
+            "object_angular_velocity": turning[..., 0],
+            "link_positions": positions,
+            "link_rotations": rotations,
+            "palm": placed[:, 0],
+            "fingertips": placed[:, 1:],
+            "joint_positions": self._qpos[:, self._qpos_of],
+            "joint_velocities": self._qvel[:, self._qvel_of],
+        }
+        contacts = (
+            self._contacts() if with_contacts else Contacts(*[nothing[..., None]] * 4)
+        )
+        shape = Shape(self.kind, tuple(self._half_size.T))  # type: ignore[arg-type]
+        return State(
+            shape=shape,
+            links=self.links,
+            contacts=contacts,
+            targets=nothing,
+            sensors=nothing,
+            **values,
         )
 
-    def _contacts(self) -> BatchContacts:
+    def _contacts(self) -> Contacts:
         """Return the contacts of each world's own last timestep; none where it was only reset."""
         contacts = self._contacts_now()
         for ends, kept in self._kept:
@@ -302,7 +317,7 @@ class WarpSimulator(BatchSimulator):
         contacts.forces[self._fresh] = 0.0
         return contacts
 
-    def _contacts_now(self) -> BatchContacts:
+    def _contacts_now(self) -> Contacts:
         """Sort the contacts of all worlds with the object that carry force into rows of worlds."""
         found, n = (
             self._data.contact,
@@ -336,11 +351,12 @@ class WarpSimulator(BatchSimulator):
         rows, world, place = rows[fits], world[fits], place[fits]
         rooms = (
             torch.zeros((self.n, MAX_CONTACTS, *more), device=self.device)
-            for more in ((3,), (), (3,))
+            for more in ((3,), (), (), (3,))
         )
-        result = BatchContacts(*rooms)
+        points, links, forces, normals = rooms
         sign = torch.where(geoms[rows, 1] == held, 1.0, -1.0)
-        result.points[world, place] = pick("pos")[rows]
-        result.forces[world, place] = force[rows]
-        result.normals[world, place] = sign[:, None] * pick("frame")[rows][:, 0]
-        return result
+        points[world, place] = pick("pos")[rows]
+        links[world, place] = body_of[other][rows] - 1.0
+        forces[world, place] = force[rows]
+        normals[world, place] = sign[:, None] * pick("frame")[rows][:, 0]
+        return Contacts(points, links.long(), forces, normals)  # type: ignore[arg-type]

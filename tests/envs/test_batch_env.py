@@ -1,6 +1,9 @@
 """A batch of worlds plays what GraspEnv plays."""
 
+import importlib
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -10,7 +13,8 @@ import tactilerl
 import torch
 from gymnasium.vector import AutoresetMode
 from tactilerl import envs
-from tactilerl.envs.batch import BatchEnv, DeviceDraws
+from tactilerl.envs import tasks
+from tactilerl.envs.batch import BatchEnv, HostDraws
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
 NOISY = dict(object_seen="noisy", joint_noise=0.02, joint_noise_held=0.05, slide_noise=0.001)
@@ -174,26 +178,18 @@ def test_autoreset_goes_on_as_grasp_env_does(mode: AutoresetMode) -> None:
     np.testing.assert_allclose(obs["observation"][0], again["observation"], atol=1e-5)
 
 
-def test_device_draws_are_a_worlds_own_and_even() -> None:
-    def drawn(seeds: list[int], n: int) -> Any:
-        draws = DeviceDraws(
-            len(seeds), lambda values: torch.as_tensor(np.asarray(values), dtype=torch.float64)
-        )
-        for i, seed in enumerate(seeds):
-            draws.begin(i, np.random.default_rng(seed))
-        return np.stack(
-            [
-                draws("joints", np.ones(len(seeds), bool), np.full(len(seeds), 25)).numpy()
-                for _ in range(n)
-            ]
-        )
+def test_noise_of_the_device_is_the_seeds() -> None:
+    """And not the same in two worlds, episodes or steps."""
+    first = config("mpl", layout="5", object_seen="noisy", joint_noise=0.02)
 
-    values = drawn(list(range(40)), 50)
-    assert abs(values.mean()) < 0.02
-    assert abs(values.std() - 1) < 0.02
-    assert abs(np.corrcoef(values[:, 0].ravel(), values[:, 1].ravel())[0, 1]) < 0.1
-    assert abs(np.corrcoef(values[:-1].ravel(), values[1:].ravel())[0, 1]) < 0.02
-    assert (drawn([3], 50)[:, 0] == values[:, 3]).all()
+    def told() -> Any:
+        batch: Any = BatchEnv("mpl", [(first, 2)], "loop", numpy=True, draws="device")
+        obs = [batch.reset(seed=[3, 3])[0], batch.reset()[0], batch.step(np.zeros((2, 1)))[0]]
+        return np.concatenate([part["observation"][:, 4:7] for part in obs])  # where it is seen
+
+    values = told()
+    np.testing.assert_array_equal(values, told())
+    assert len(np.unique(values, axis=0)) == 6
 
 
 @pytest.mark.parametrize(
@@ -212,7 +208,7 @@ def test_scenes_that_do_not_go_together_are_named(change: Any, named: str) -> No
         BatchEnv("mpl", [(replace(first, touch_rule="contact"), 1)], "loop")
     batch = BatchEnv("mpl", [(first, 1)], "loop")
     batch.reset(seed=0)
-    with pytest.raises(ValueError, match="actions: found NaN"):
+    with pytest.raises(ValueError, match="action: found NaN"):
         batch.step([[np.nan]])
 
 
@@ -275,15 +271,31 @@ def test_starts_drawn_at_once_are_spread_like_those_of_grasp_env(task: Any) -> N
     one = GraspConfig(task=task, object_size=("0.04..0.06",), friction="0.8..1", simulator="mujoco")
     if task == "handover":
         one = config("mpl")
-    env = BatchEnv("mpl", [(one, 2)], "loop", draws="device")
-    env.reset(seed=0)
-    many, rows = env._draw_at_once(np.arange(2).repeat(1000)), []
-    for seed in range(400):
-        env._rngs[0] = np.random.default_rng(seed)
-        rows.append(env._draw([0]))
-    for name, got, want in zip(
-        many._fields, many, map(np.concatenate, zip(*rows, strict=True)), strict=True
-    ):
-        spread = np.maximum(np.ptp(want, axis=0), 1e-9)
-        for at in (np.min, np.mean, np.max):
-            assert np.abs((at(got, axis=0) - at(want, axis=0)) / spread).max() < 0.1, name
+    env = GraspEnv("mpl", one)
+
+    def drawn(rng: Any) -> Any:
+        item, start, _, _ = env.draw_start(rng)
+        return np.column_stack([*item.shape.half_size, item.mass, item.friction, *start[:3]])
+
+    got = drawn(HostDraws(np.random.default_rng(0), np.ones(2000, bool)))
+    each = np.array([np.random.default_rng(seed) for seed in range(400)])
+    want = drawn(HostDraws(each, np.ones(400, bool)))
+    for at in (np.min, np.mean, np.max):
+        difference = np.abs(at(got, axis=0) - at(want, axis=0))
+        assert (difference <= 0.1 * np.ptp(want, axis=0) + 1e-12).all()
+
+
+def test_a_task_of_ones_own_is_played_too_where_it_says_so(monkeypatch: Any) -> None:
+    """With its own object and its own entry of the observation."""
+    examples = Path(__file__).parents[2] / "examples"
+    monkeypatch.setattr(tasks, "TASKS", dict(tasks.TASKS))
+    monkeypatch.syspath_prepend(str(examples))
+    monkeypatch.delitem(sys.modules, "own_task", raising=False)
+    cup = importlib.import_module("own_task").HoldCup
+    first: Any = replace(config("mpl", str(examples / "own_task.toml"), finger_gain=1.0), **NOISY)
+    assert "pressure on cup" in GraspEnv("mpl", first).observation_names()
+    returns = assert_alike("mpl", [first], [0, 1], act(15, 1))
+    assert set(returns) == {-100.0}  # crushed
+    tasks.TASKS["hold-cup"] = type("Careful", (cup,), {})
+    with pytest.raises(ValueError, match=r"task: found 'hold-cup' in a batch, allowed: lift-and-hold,"):
+        BatchEnv("mpl", [(first, 1)], "loop")

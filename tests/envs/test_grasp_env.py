@@ -13,9 +13,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from tactilerl import envs
 from tactilerl.envs import hold, scripted, tasks
+from tactilerl.envs.objects import Shape
 from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
-from tactilerl.envs.state import Shape
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
