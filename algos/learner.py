@@ -13,7 +13,6 @@ import torch
 from torch import nn
 
 from . import Array, Communicator, DivergenceError, Workers
-from .networks import MLP
 from .policy import Policy, Spaces, flat_size
 
 A = TypeVar("A")
@@ -220,12 +219,12 @@ class RewardScale:
         self.lowest = min(self.lowest, float(rewards.min()))
         self.highest = max(self.highest, float(rewards.max()))
 
-    def grow(self, scale: float, *critics: MLP) -> None:
-        """Raise a running scale to this, and the critics with it; a smaller one changes nothing."""
-        if self.is_running and scale > self.scale:
-            for critic in critics:
-                critic.scale_outputs(self.scale / scale or 1.0)
-            self.scale = scale
+    def grow(self, scale: float) -> float:
+        """Raise a running scale to this, where it is larger; return the factor for critics' outputs."""
+        if not self.is_running or scale <= self.scale:
+            return 1.0
+        factor, self.scale = self.scale / scale or 1.0, scale
+        return factor
 
     def state_dict(self) -> dict[str, float]:
         """Return bounds and scale."""

@@ -164,12 +164,6 @@ def may_be_boolean(space: gym.Space[Any]) -> Array:
     )
 
 
-def n_boolean(space: Any) -> int:
-    """Return how many entries at the end of a goal environment's observation may be Boolean."""
-    within = may_be_boolean(space["observation"])
-    return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))
-
-
 @dataclass(frozen=True)
 class FlatInputs:
     """Flatten the observation, a goal environment's with its desired goal, and scale it."""

@@ -57,11 +57,6 @@ class Episode(Generic[Obs]):
         return len(self.rewards)
 
 
-def start_seed(key: Sequence[int], number: int) -> int:
-    """Return the seed of the reset with which `PlayEpisode` begins the episode of a number."""
-    return int(np.random.default_rng([*key, number]).integers(2**31))
-
-
 @dataclass(frozen=True)
 class PlayEpisode(Generic[Obs]):
     """Play the episode of a number: its start and its noise follow from `key` and the number."""
@@ -232,19 +227,11 @@ def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
     return usable
 
 
-def finite(values: Any, what: str) -> Any:
-    """Return `values`, an array or a tuple of arrays, if all are finite in float32.
-
-    DivergenceError where they are not.
-    """
-    parts = values if isinstance(values, tuple) else (values,)
-    if not all((np.abs(part) <= FLOAT32_MAX).all() for part in parts):
-        flat = np.concatenate([np.ravel(part) for part in parts])
-        which = (
-            f" (entry {np.argmin(np.abs(flat) <= FLOAT32_MAX)})"
-            if flat.size > 1
-            else ""
-        )
+def finite(values: Array, what: str) -> Array:
+    """Return `values` if all are finite in float32; DivergenceError where they are not."""
+    is_finite = np.abs(values) <= FLOAT32_MAX
+    if not is_finite.all():
+        which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
         raise DivergenceError(
             f"{what} of the environment is not finite, or beyond float32{which}"
         )
