@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from itertools import pairwise
 from typing import Any
@@ -25,11 +25,11 @@ from torch.nn.utils.rnn import pad_sequence
 
 from . import Array, DivergenceError, rollout
 from .ddpg_her import DDPGHER, Exploration, td_targets, tested
-from .learner import Learner, restore
+from .learner import restore
 from .networks import MLP
 from .normalizer import Normalizer, Scaling
-from .ppo import PPO, explained_variance, surrogate
-from .replay import Batch
+from .ppo import PPO, ActorLoss, explained_variance, surrogate
+from .replay import Batch, Relabelled
 from .rollout import Episode, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
@@ -38,7 +38,7 @@ NAMES = ("observation", "desired_goal", "achieved_goal")  # side by side
 Key = tuple[int, int, int, int]
 Row = dict[str, float]
 Explore = Callable[[Array, Array], Array]
-"""Return actions (n, d) to take from those of the policy, and from the number of each one's step (n,)."""
+"""Return actions (n, d) to take from those of the policy and the numbers of their steps (n,)."""
 
 
 def alike(config: Any) -> tuple[Any, ...]:
@@ -59,82 +59,48 @@ class Networks:
 
     def __init__(
         self,
-        networks: Sequence[MLP],
+        runs: Sequence[tuple[MLP, Sequence[nn.Parameter], Sequence[torch.optim.Adam]]],
         columns: Sequence[Tensor],
         width: int,
-        adams: Sequence[Sequence[torch.optim.Adam]] | None = None,
-        more: Sequence[nn.Parameter] | None = None,
+        device: torch.device,
     ) -> None:
-        """Stack networks; `columns` are the places of each one's inputs among all `width`.
+        """Stack each run's network, more parameters of no layer, and the moments of its Adams.
 
-        Each run has Adams, of any parameters, and may have one parameter `more`, of no layer.
+        `columns` are the places of each one's inputs among all `width`.
         """
-        first = networks[0]
+        first, more, _ = runs[0]
         self.is_tanh = isinstance(first[-1], nn.Tanh)
         sizes = [width, *(linear.out_features for linear in first.linears)]
         self.shapes = [shape for n, m in pairwise(sizes) for shape in ((m, n), (m,))]
-        n_more = more[0].numel() if more else 0
-        self.sizes = [*map(math.prod, self.shapes), n_more]
-        self.flat = torch.zeros(len(networks), sum(self.sizes))
-        self.moments = self.flat.clone(), self.flat.clone()
-        self.n_steps = torch.zeros(len(networks), 1)
-        self.parameters = [[*network.parameters()] for network in networks]
-        self.owners: list[dict[nn.Parameter, torch.optim.Adam]] = []
-        self.places = list[Tensor]()
-        weights, others = torch.arange(sum(self.sizes)).split(  # type: ignore[no-untyped-call]
-            [self.sizes[0], sum(self.sizes[1:])]
-        )
-        for i, parameters in enumerate(self.parameters):
-            parameters += more[i : i + 1] if more else []
-            own = adams[i] if adams else ()
-            self.owners.append({p: a for a in own for p in a.param_groups[0]["params"]})
-            mine = weights.view(self.shapes[0])[:, columns[i]].ravel()
-            self.places.append(torch.cat([mine, others]))
-            self._read(i)
-
-    def to(self, device: torch.device) -> Networks:
-        """Move all of it to a device."""
-        self.flat, self.n_steps, *moments = (
-            part.to(device) for part in (self.flat, self.n_steps, *self.moments)
-        )
-        self.moments = moments[0], moments[1]
+        self.sizes = [*map(math.prod, self.shapes), sum(p.numel() for p in more)]
+        shape = len(runs), sum(self.sizes)
+        self.flat, *self.moments = (torch.zeros(shape, device=device) for _ in range(3))
+        self.n_steps = torch.zeros(len(runs), 1, device=device)
+        self.singles = []
+        for i, (network, more, adams) in enumerate(runs):
+            weights, others = torch.arange(shape[1]).tensor_split([self.sizes[0]])
+            own = weights.view(self.shapes[0])[:, columns[i]].ravel()
+            parameters = [*network.parameters(), *more]
+            owners = {p: adam for adam in adams for p in adam.param_groups[0]["params"]}
+            states = [_moments(p, owners.get(p)) for p in parameters]
+            parts = [[s[name] for s in states] for name in MOMENTS]
+            parts = [[p.detach() for p in parameters], *parts]
+            self.singles.append((torch.cat([own, others]), parts, states))
+            for row, tensors in zip((self.flat, *self.moments), parts, strict=True):
+                row[i, self.singles[i][0]] = parameters_to_vector(tensors).to(device)
+            self.n_steps[i] = max(float(state["step"]) for state in states)
         self.flat.requires_grad_()
-        return self
 
-    def _read(self, i: int) -> None:
-        parameters, places = self.parameters[i], self.places[i]
-        states = [
-            self.owners[i][p].state.get(p, {}) if self.owners[i] else {}
-            for p in parameters
-        ]
-        self.flat[i, places] = parameters_to_vector(parameters).detach()
-        for name, moments in zip(MOMENTS, self.moments, strict=True):
-            parts = [
-                s.get(name, torch.zeros_like(p))
-                for s, p in zip(states, parameters, strict=True)
-            ]
-            moments[i, places] = parameters_to_vector(parts)
-        self.n_steps[i] = max(float(state.get("step", 0.0)) for state in states)
-
+    @torch.no_grad()
     def write(self, i: int) -> None:
-        """Write the network of run `i` into its own, and its moments into its Adams."""
-        parameters, places, step = (
-            self.parameters[i],
-            self.places[i],
-            self.n_steps[i, 0].cpu(),
-        )
-        sizes = [p.numel() for p in parameters]
-        rows = (
-            row[i].detach().cpu()[places].split(sizes)
-            for row in (self.flat, *self.moments)
-        )
-        for p, value, mean, square in zip(parameters, *rows, strict=True):
-            p.data.copy_(value.view_as(p))
-            if step and p.requires_grad and p in self.owners[i]:
-                moments = dict(
-                    zip(MOMENTS, (mean.view_as(p), square.view_as(p)), strict=True)
-                )
-                self.owners[i][p].state[p] = {"step": step.clone(), **moments}
+        """Write run `i` into its own network and Adams."""
+        places, parts, states = self.singles[i]
+        for row, tensors in zip((self.flat, *self.moments), parts, strict=True):
+            values = row[i].cpu()[places].split([part.numel() for part in tensors])
+            for part, value in zip(tensors, values, strict=True):
+                part.copy_(value.view_as(part))
+        for state in states:
+            state["step"].copy_(self.n_steps[i, 0])
 
     def __call__(self, x: Tensor, flat: Tensor | None = None) -> Tensor:
         """Return outputs (E, n, outputs) for inputs (E, n, width), by other weights where given."""
@@ -153,9 +119,9 @@ class Networks:
             piece.mul_(factor)
 
     @torch.no_grad()
-    def step(self, gradient: Tensor, lr: Tensor, mask: Tensor) -> None:
-        """Take an Adam step of the runs in `mask` (E, 1); rates `lr` are (E, 1) or (E, parameters)."""
-        on, (mean, square) = mask.float(), self.moments
+    def step(self, gradient: Tensor, lr: Tensor, on: Tensor) -> None:
+        """Take an Adam step of the runs where `on` (E, 1) is 1; `lr` is (E, 1) or (E, parameters)."""
+        mean, square = self.moments
         self.n_steps += on
         mean.lerp_(gradient, on * (1 - BETAS[0]))
         square.lerp_(gradient.square(), on * (1 - BETAS[1]))
@@ -165,24 +131,32 @@ class Networks:
         self.flat.sub_(mean / size * (on * lr / first))
 
     @torch.no_grad()
-    def take(self, others: Networks, mask: Tensor) -> None:
-        """Become like others, with their Adams, in the runs of `mask` (E, 1)."""
-        for mine, its in (
-            (self.flat, others.flat),
-            (self.n_steps, others.n_steps),
-            *zip(self.moments, others.moments, strict=True),
-        ):
-            mine.copy_(torch.where(mask, its, mine))
+    def take(self, others: Networks, on: Tensor) -> None:
+        """Become like others, with their Adams, in the runs where `on` (E, 1) is 1."""
+        mine = self.flat, self.n_steps, *self.moments
+        theirs = others.flat, others.n_steps, *others.moments
+        for own, other in zip(mine, theirs, strict=True):
+            own.copy_(torch.where(on == 1, other, own))
+
+
+def _moments(p: nn.Parameter, adam: torch.optim.Adam | None) -> dict[str, Tensor]:
+    """Return an Adam's state of a parameter, in which nothing was done where it has none."""
+    state = {name: torch.zeros_like(p).detach() for name in MOMENTS}
+    state["step"] = torch.tensor(0.0)
+    if adam is None or not p.requires_grad:
+        return state
+    mine: dict[str, Tensor] = adam.state.setdefault(p, state)
+    return mine
 
 
 def stacked(
-    stats: Sequence[Normalizer], columns: Sequence[Tensor], width: int
+    stats: Sequence[Normalizer], columns: Sequence[Tensor], width: int, device: Any
 ) -> Scaling:
     """Return what normalizers do to values now, (E, 1, width); where a run has no column it is 0."""
     parts = torch.zeros(4, len(stats), 1, width)
     for i, one in enumerate(stats):
         parts[:, i, 0, columns[i]] = torch.stack([*one.scaling()])
-    return Scaling(*parts)
+    return Scaling(*parts.to(device))
 
 
 # -- episodes --------------------------------------------------------------------------------
@@ -298,11 +272,6 @@ class Worlds:
         return torch.cat([obs[key] for key in NAMES], dim=-1)
 
 
-def as_they_are(rngs: Mapping[int, np.random.Generator]) -> Explore:
-    """Return no exploration."""
-    return lambda actions, steps: actions
-
-
 # -- learners --------------------------------------------------------------------------------
 
 
@@ -351,32 +320,29 @@ class BatchLearner:
 
     def columns(self, n_more: int) -> list[Tensor]:
         """Return the places of each run's inputs: of its own observation, and all of `n_more`."""
-        sizes = [
-            one.spaces.observation["observation"].shape[0] for one in self.learners
-        ]
+        spaces = [one.spaces.observation["observation"] for one in self.learners]
         rest = range(self.width, self.width + n_more)
-        return [torch.tensor([*range(n), *rest]) for n in sizes]
+        return [torch.tensor([*range(space.shape[0]), *rest]) for space in spaces]
 
-    def numbers(self, value: Callable[[Any], float]) -> Tensor:
-        """Return a number that each single learner has now, (E, 1)."""
-        values = [[float(value(one))] for one in self.learners]
-        return torch.tensor(values, device=self.device)
+    def numbers(self, values: Iterable[float]) -> Tensor:
+        """Return a number of each run, (E, 1)."""
+        return torch.tensor([[float(x)] for x in values], device=self.device)
+
+    def mask(self, runs: Collection[int]) -> Tensor:
+        """Return 1 for these runs and 0 for others, (E, 1)."""
+        return self.numbers(i in runs for i in range(len(self.learners)))
 
     def hyper(self, name: str) -> Tensor:
         """Return a hyperparameter of each run, (E, 1)."""
         if name not in self._hyper:
-            self._hyper[name] = self.numbers(lambda one: getattr(one.config, name))
+            values = (getattr(one.config, name) for one in self.learners)
+            self._hyper[name] = self.numbers(values)
         return self._hyper[name]
 
     def rate(self, adam: str) -> Tensor:
         """Return the learning rate that an Adam of each single learner has now, (E, 1)."""
-        return self.numbers(lambda one: getattr(one, adam).param_groups[0]["lr"])
-
-    def mask(self, runs: Sequence[int]) -> Tensor:
-        """Return True for these runs, (E, 1)."""
-        return torch.isin(
-            self.e, torch.tensor(runs, dtype=torch.long, device=self.device)
-        )
+        adams = (getattr(one, adam) for one in self.learners)
+        return self.numbers(one.param_groups[0]["lr"] for one in adams)
 
     @property
     def active(self) -> list[bool]:
@@ -408,20 +374,24 @@ class BatchLearner:
             self.failures[i] = str(error)
             self.on.remove(i)
 
-    def require_finite(self, losses: Tensor, *networks: Networks) -> None:
-        """Fail runs with losses (E, n) or parameters that are not finite."""
-        parts = [losses, *(network.flat for network in networks)]
-        is_finite = torch.stack([torch.isfinite(part).all(dim=1) for part in parts])
-        for i, is_fine in enumerate(is_finite.all(dim=0).tolist()):
-            if not is_fine:
-                steps = self.learners[i].env_steps
-                reason = f"a loss or a parameter is not finite after {steps} steps"
-                self.failures.setdefault(i, reason)
+    def means(
+        self, sums: Tensor, n_updates: Mapping[int, int], *networks: Networks
+    ) -> dict[int, list[float]]:
+        """Return means of sums (E, k) by run; runs with losses or parameters that are not finite fail."""
+        weights = [network.flat.sum(dim=1, keepdim=True) for network in networks]
+        rows = torch.cat([sums, *weights], dim=1).tolist()
+        for i in [*self.on]:
+            self.tried(i, lambda one, i=i: one.require_finite(rows[i]))
+        n = sums.shape[1]
+        return {i: [x / n_updates[i] for x in rows[i][:n]] for i in self.on}
 
     def play_best(self, keys: Mapping[int, Key], n: int) -> dict[int, Row]:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
         _, episodes = self.worlds.play(
-            keys, lambda _, played: len(played) < n, self.act, as_they_are
+            keys,
+            lambda _, played: len(played) < n,
+            self.act,
+            lambda rngs: lambda actions, steps: actions,
         )
         return {i: summary(mine) for i, mine in episodes.items()}
 
@@ -429,8 +399,8 @@ class BatchLearner:
         """Return how good the runs that are asked for (E,) are without exploration; may be empty."""
         return [{} for _ in asked]
 
-    def write(self, i: int) -> Learner:
-        """Write the state of run `i` into its single learner, and return that."""
+    def write(self, i: int) -> None:
+        """Write the state of run `i` into its single learner."""
         raise NotImplementedError
 
 
@@ -440,32 +410,34 @@ class BatchPPO(BatchLearner):
     def build(self) -> None:
         """Stack networks, and the actors to which an undone update goes back."""
         self.own, self.size = self.columns(self.n_goal), self.width + self.n_goal
-        critics = [one.critic for one in self.learners]
-        adams = [[one.critic_adam] for one in self.learners]
-        self.critic = Networks(critics, self.own, self.size, adams).to(self.device)
-        acting = [
-            {name: getattr(one, name) for name in one.acting} for one in self.learners
-        ]
+        place = self.own, self.size, self.device
+        critics = [(one.critic, (), (one.critic_adam,)) for one in self.learners]
+        self.critic = Networks(critics, *place)
+        acting = [{n: getattr(one, n) for n in one.acting} for one in self.learners]
         self.kept = copy.deepcopy(acting)
-        for one, parts in zip(self.learners, self.kept, strict=True):
-            if one.before_update:
-                restore(parts, one.before_update)
-        self.actor, self.before = self._actors(acting), self._actors(self.kept)
-        self.has_before = [bool(one.before_update) for one in self.learners]
-        self.look()
-
-    def _actors(self, acting: Sequence[dict[str, Any]]) -> Networks:
-        actors, more = (
-            [parts[name] for parts in acting] for name in ("actor", "gaussian")
+        each = enumerate(self.learners)
+        self.has_before = {i for i, one in each if one.before_update}
+        for i in self.has_before:
+            restore(self.kept[i], self.learners[i].before_update)
+        self.actor, self.before = (
+            Networks(
+                [
+                    (
+                        p["actor"],
+                        [p["gaussian"].log_std],
+                        (p["actor_adam"], p["std_adam"]),
+                    )
+                    for p in each
+                ],
+                *place,
+            )
+            for each in (acting, self.kept)
         )
-        adams = [[parts["actor_adam"], parts["std_adam"]] for parts in acting]
-        stds = [gaussian.log_std for gaussian in more]
-        return Networks(actors, self.own, self.size, adams, stds).to(self.device)
+        self.look()
 
     def look(self) -> None:
         stats = [one.obs_stats for one in self.learners]
-        self.scale = stacked(stats, self.own, self.size)
-        self.scale = Scaling(*(part.to(self.device) for part in self.scale))
+        self.scale = stacked(stats, self.own, self.size, self.device)
 
     def _inputs(self, seen: Tensor) -> Tensor:
         """Return the networks' inputs (E, n, size) from whole observations (E, n, ...)."""
@@ -501,9 +473,11 @@ class BatchPPO(BatchLearner):
         """Take `n_passes` over each run's batch, in minibatches of its own."""
         batch, columns = self._batch()
         verdicts = {i: self.learners[i].judge() for i in self.on}
-        self._keep_or_undo(verdicts)
-        learns = self.mask([i for i, verdict in verdicts.items() if verdict == "learn"])
-        lr = self._rates()
+        learns = self._keep_or_undo(verdicts)
+        actor, std, critic = map(self.rate, ("actor_adam", "std_adam", "critic_adam"))
+        n = self.actor.flat.shape[1] - self.n_actions
+        rates = [actor.expand(-1, n), std.expand(-1, self.n_actions)]
+        lr = torch.cat(rates, dim=1), critic
         passes = {i: self.learners[i].shuffled(len(columns[i])) for i in self.on}
         sums = torch.zeros(len(self.learners), 4, device=self.device)
         n_updates, going = dict.fromkeys(self.on, 0), [*self.on]
@@ -517,10 +491,8 @@ class BatchPPO(BatchLearner):
             for i in going:
                 n_updates[i] += len(minibatches[i])
             if self.config.target_kl is not None:
-                kl = last_kl.tolist()
-                going = [
-                    i for i in going if not kl[i] > self.learners[i].config.target_kl
-                ]
+                kl, configs = last_kl.tolist(), [one.config for one in self.learners]
+                going = [i for i in going if not kl[i] > configs[i].target_kl]
             if not going:
                 break
         return self._report(sums, columns, verdicts, n_updates)
@@ -531,8 +503,9 @@ class BatchPPO(BatchLearner):
 
         The last columns are advantages, returns and values.
         """
-        factors = {i: self.learners[i].rescale() for i in self.on}
-        self.critic.scale_outputs(self._factor(factors))
+        each = enumerate(self.learners)
+        factors = (one.rescale() if i in self.on else 1.0 for i, one in each)
+        self.critic.scale_outputs(self.numbers(factors))
         inputs = self._inputs(self.obs.flatten(1, 2))
         values = self.critic(inputs).view(self.obs.shape[:3]).cpu().double().numpy()
         n_rows = values.shape[2]
@@ -555,29 +528,17 @@ class BatchPPO(BatchLearner):
         log_prob = self._policy(obs).log_prob(actions).sum(dim=-1)
         return [obs, actions, log_prob, whole[..., -3], whole[..., -2]], columns
 
-    def _factor(self, factors: Mapping[int, float]) -> Tensor:
-        values = [[factors.get(i, 1.0)] for i in range(len(self.learners))]
-        return torch.tensor(values, device=self.device)
-
-    def _keep_or_undo(self, verdicts: Mapping[int, str]) -> None:
-        """Keep actors, or go back to those kept, as the single learner does."""
-        undone = [i for i, verdict in verdicts.items() if verdict == "undo"]
-        kept = [
-            i
-            for i, verdict in verdicts.items()
-            if verdict == "learn" and self.learners[i].silence.can_undo
-        ]
+    def _keep_or_undo(self, verdicts: Mapping[int, str]) -> Tensor:
+        """Keep actors, or go back to those kept, as the single learner does; return which learn."""
+        learns, undone = (
+            [i for i, verdict in verdicts.items() if verdict == one]
+            for one in ("learn", "undo")
+        )
+        kept = [i for i in learns if self.learners[i].silence.can_undo]
         self.before.take(self.actor, self.mask(kept))
         self.actor.take(self.before, self.mask(undone))
-        for i in kept:
-            self.has_before[i] = True
-
-    def _rates(self) -> tuple[Tensor, Tensor]:
-        """Return learning rates now, of each actor's parameters and of the critics."""
-        actor, std, critic = map(self.rate, ("actor_adam", "std_adam", "critic_adam"))
-        n = self.actor.flat.shape[1] - self.n_actions
-        rates = [actor.expand(-1, n), std.expand(-1, self.n_actions)]
-        return torch.cat(rates, dim=1), critic
+        self.has_before |= {*kept}
+        return self.mask(learns)
 
     def _rows_of(self, minibatches: Mapping[int, Sequence[Tensor]]) -> Sequence[Tensor]:
         """Return the rows of each minibatch of all runs, (E, size); -1 where a run has none."""
@@ -600,7 +561,7 @@ class BatchPPO(BatchLearner):
 
         Returns policy loss, KL estimate, clipped fraction and value loss, (E, 4).
         """
-        mask, is_any = rows >= 0, (rows >= 0).any(dim=1, keepdim=True)
+        mask, is_any = rows >= 0, (rows >= 0).any(dim=1, keepdim=True).float()
         share = mask / mask.sum(dim=1, keepdim=True).clamp(min=1)
         obs, actions, log_prob, advantages, returns = (
             part[self.e, rows.clamp(min=0)] for part in batch
@@ -616,10 +577,10 @@ class BatchPPO(BatchLearner):
         )
         if self.config.exploration == "fixed":
             of_actor[:, -self.n_actions :] = 0.0
-        self.actor.step(self._clipped(of_actor), lr[0], is_any & learns)
+        self.actor.step(self._clipped(of_actor), lr[0], is_any * learns)
         self.critic.step(self._clipped(of_critic), lr[1], is_any)
-        of_silent = torch.tensor([0.0, 0.0, 0.0, 1.0], device=self.device)
-        return torch.where(learns, stats.detach(), stats.detach() * of_silent)
+        stats = stats.detach()
+        return torch.cat([stats[:, :3] * learns, stats[:, 3:]], dim=1)
 
     def _clipped(self, gradient: Tensor) -> Tensor:
         share = self.hyper("max_grad_norm") / (
@@ -631,33 +592,25 @@ class BatchPPO(BatchLearner):
         self, sums: Tensor, columns: Any, verdicts: Any, n_updates: Any
     ) -> list[Row]:
         """Return the rows of the table, as the single learner does, once moments are updated."""
-        self.require_finite(sums, self.actor, self.critic)
+        rows, names = [Row() for _ in self.learners], (*ActorLoss._fields, "value_loss")
         log_std = self.actor.flat[:, -self.n_actions :].detach().cpu()
-        rows, names = (
-            [Row() for _ in self.learners],
-            ("policy_loss", "kl", "clip_fraction", "value_loss"),
-        )
-        totals = sums.tolist()
-        for i in self.on:
-            one, n = self.learners[i], n_updates[i]
+        for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
+            one = self.learners[i]
             one.gaussian.log_std.data.copy_(log_std[i])
             explained = explained_variance(columns[i][:, -1], columns[i][:, -2])
-            rows[i] = {
-                name: total / n for name, total in zip(names, totals[i], strict=True)
-            }
-            rows[i] |= one.after_update(explained, verdicts[i], n)
+            rows[i] = dict(zip(names, means, strict=True))
+            rows[i] |= one.after_update(explained, verdicts[i], n_updates[i])
         self.look()
         return rows
 
-    def write(self, i: int) -> Learner:
-        one: Learner = self.learners[i]
-        if self.has_before[i]:
+    def write(self, i: int) -> None:
+        one = self.learners[i]
+        if i in self.has_before:
             self.before.write(i)
             states = {name: part.state_dict() for name, part in self.kept[i].items()}
-            self.learners[i].before_update = copy.deepcopy(states)
+            one.before_update = copy.deepcopy(states)
         self.actor.write(i)
         self.critic.write(i)
-        return one
 
 
 class BatchDDPGHER(BatchLearner):
@@ -665,40 +618,39 @@ class BatchDDPGHER(BatchLearner):
 
     def build(self) -> None:
         """Stack networks and their targets, and what networks see of the replays."""
-        learners, n_goal = self.learners, self.n_goal
-        columns, size = self.columns(n_goal), self.width + n_goal
+        n_goal, n_actions = self.n_goal, self.n_actions
         self.own = self.columns(2 * n_goal)
 
-        def networks(
-            name: str, columns: Sequence[Tensor], size: int, adam: str = ""
-        ) -> Networks:
-            adams = [[getattr(one, adam)] for one in learners] if adam else None
-            mlps = [getattr(one, name) for one in learners]
-            return Networks(mlps, columns, size, adams).to(self.device)
+        def networks(name: str, n_more: int, adam: str = "") -> Networks:
+            runs = [
+                (getattr(one, name), (), (getattr(one, adam),) if adam else ())
+                for one in self.learners
+            ]
+            return Networks(
+                runs, self.columns(n_more), self.width + n_more, self.device
+            )
 
-        self.actor = networks("actor", columns, size, "actor_adam")
-        self.target_actor = networks("target_actor", columns, size)
-        columns, size = self.columns(n_goal + self.n_actions), size + self.n_actions
-        self.critic = networks("critic", columns, size, "critic_adam")
-        self.target_critic = networks("target_critic", columns, size)
-        steps = learners[0].replay.max_steps + 1
-        shape = len(learners), 0, steps, self.width + self.n_actions
+        self.actor = networks("actor", n_goal, "actor_adam")
+        self.target_actor = networks("target_actor", n_goal)
+        self.critic = networks("critic", n_goal + n_actions, "critic_adam")
+        self.target_critic = networks("target_critic", n_goal + n_actions)
+        n_steps = self.learners[0].replay.max_steps + 1
+        shape = len(self.learners), 0, n_steps, self.width + n_actions
         self.memory = torch.zeros(shape, device=self.device)  # observations and actions
-        for i, one in enumerate(learners):
+        for i, one in enumerate(self.learners):
             self._memorize(i, range(one.replay.n_episodes))
         self.look()
 
     def look(self) -> None:
-        goals = [torch.arange(self.n_goal)] * len(self.learners)
-        scalings = (
-            stacked(
-                [one.obs_stats for one in self.learners], self.columns(0), self.width
-            ),
-            stacked([one.goal_stats for one in self.learners], goals, self.n_goal),
+        obs, goals = (
+            [getattr(one, name) for one in self.learners]
+            for name in ("obs_stats", "goal_stats")
         )
-        self.scales = [
-            Scaling(*(part.to(self.device) for part in one)) for one in scalings
-        ]
+        of_goals = [torch.arange(self.n_goal)] * len(goals)
+        self.scales = (
+            stacked(obs, self.columns(0), self.width, self.device),
+            stacked(goals, of_goals, self.n_goal, self.device),
+        )
 
     def _inputs(self, *parts: Tensor) -> Tensor:
         """Return the networks' inputs (E, n, ...) from observations and goals (E, n, ...)."""
@@ -714,29 +666,25 @@ class BatchDDPGHER(BatchLearner):
 
     def explore(self, rngs: Mapping[int, np.random.Generator]) -> Explore:
         """Draw the noise of whole episodes at once, in the order of the single learner's steps."""
-        n, steps, d = self.env.num_envs, self.env.max_episode_steps, self.n_actions
-        noise, uniform = (
-            np.zeros((steps, n, d), np.float32),
-            np.zeros((steps, n, 1 + d)),
-        )
+        shape = self.env.max_episode_steps, self.env.num_envs
+        noise = np.zeros((*shape, self.n_actions), np.float32)
+        uniform = np.zeros((*shape, 1 + self.n_actions))
         for world, rng in rngs.items():
-            for t in range(steps):
+            for t in range(len(noise)):
                 rng.standard_normal(out=noise[t, world], dtype=np.float32)
                 rng.random(out=uniform[t, world])
         configs = [one.config.acting(one.progress_remaining) for one in self.learners]
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in configs]
-        columns = np.repeat(np.array(values), self.worlds.shape[1], axis=0)
-        noise_eps, *others = np.split(columns, 3, axis=1)
-        exploration = Exploration(np.random.default_rng(0), noise_eps, *others)
-        drawn = [
-            exploration.advance(u[:, :1], (2.0 * u[:, 1:] - 1.0).astype(np.float32))
-            for u in uniform
-        ]
-        is_random, random = (np.stack(part) for part in zip(*drawn, strict=True))
+        of_worlds = np.repeat(values, self.worlds.shape[1], axis=0)
+        noise_eps, *chances = np.split(of_worlds, 3, axis=1)
+        exploration = Exploration(np.random.default_rng(), noise_eps, *chances)
         noise *= noise_eps.astype(np.float32)
+        drawn = (2.0 * uniform[..., 1:] - 1.0).astype(np.float32)
+        steps = [*map(exploration.advance, uniform[..., :1], drawn)]
+        is_random, random = map(np.stack, zip(*steps, strict=True))
 
         def explored(actions: Array, steps: Array) -> Array:
-            at = steps.clip(max=len(noise) - 1), np.arange(n)
+            at = steps.clip(max=len(noise) - 1), np.arange(len(steps))
             noisy = np.clip(actions + noise[at], -1.0, 1.0)
             return np.where(is_random[at], random[at], noisy)
 
@@ -773,32 +721,33 @@ class BatchDDPGHER(BatchLearner):
 
     def update(self) -> list[Row]:
         """Take one cycle's updates of each active run, and move its target networks."""
-        config, n = self.config, self.config.n_batches
-        drawn, factors = dict[int, Any](), [[1.0] for _ in self.learners]
+        config, n, singles = self.config, self.config.n_batches, self.learners
+        drawn, factors = dict[int, Relabelled[Array]](), [1.0] * len(singles)
         for i in self.on:
-            one = self.learners[i]
+            one = singles[i]
             drawn[i] = one.replay.relabel(n * config.batch_size, one.config.replay_p)
-            factors[i] = [one.rescale(drawn[i].reward)]
+            factors[i] = one.rescale(drawn[i].reward)
+            one.updates += n
         for critic in (self.critic, self.target_critic):
-            critic.scale_outputs(torch.tensor(factors, device=self.device))
-        self.unit = self.numbers(lambda one: one.rewards.unit)
-        self.lowest = self.numbers(lambda one: one.rewards.lowest / one.rewards.unit)
-        self.highest = self.numbers(lambda one: one.rewards.highest / one.rewards.unit)
-        self.action_l2 = self.numbers(lambda one: one.action_l2)[:, 0]
+            critic.scale_outputs(self.numbers(factors))
+        self.unit = self.numbers(one.rewards.unit for one in singles)
+        bounds = [(one.rewards.lowest, one.rewards.highest) for one in singles]
+        self.span = [
+            self.numbers(each) / self.unit for each in zip(*bounds, strict=True)
+        ]
+        self.action_l2 = self.numbers(one.action_l2 for one in singles)[:, 0]
         self.lr = self.rate("actor_adam"), self.rate("critic_adam")
-        sums = torch.zeros(len(self.learners), 3, device=self.device)
+        self.is_on = self.mask(self.on)
+        sums = torch.zeros(len(singles), 3, device=self.device)
         for i, minibatch in enumerate(self._minibatches(drawn), start=1):
             sums += self._step(minibatch)
             if i % (config.target_update_interval or n) == 0 or i == n:
                 self._move_targets()
-        self.require_finite(sums, self.actor, self.critic)
-        rows, means = [Row() for _ in self.learners], (sums / n).tolist()
-        for i in self.on:
-            one = self.learners[i]
-            one.updates += n
-            critic_loss, actor_loss, mean_q = means[i]
+        rows, n_updates = [Row() for _ in singles], dict.fromkeys(self.on, n)
+        for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
+            critic_loss, actor_loss, mean_q = means
             rows[i] = {"critic_loss": critic_loss, "actor_loss": actor_loss}
-            rows[i] |= {"mean_q": mean_q * one.rewards.unit, "updates": n}
+            rows[i] |= {"mean_q": mean_q * singles[i].rewards.unit, "updates": n}
         return rows
 
     def _step(self, batch: Batch[Tensor]) -> Tensor:
@@ -814,9 +763,8 @@ class BatchDDPGHER(BatchLearner):
         mean_q = self.critic(inputs, self.critic.flat.detach())[..., 0].mean(dim=1)
         losses = self.action_l2 * actions.square().mean(dim=(1, 2)) - mean_q
         (of_actor,) = torch.autograd.grad(losses.sum(), [self.actor.flat])
-        on = self.mask(self.on)
-        self.actor.step(of_actor, self.lr[0], on)
-        self.critic.step(of_critic, self.lr[1], on)
+        self.actor.step(of_actor, self.lr[0], self.is_on)
+        self.critic.step(of_critic, self.lr[1], self.is_on)
         return torch.stack([errors, losses, mean_q], dim=1).detach()
 
     @torch.no_grad()
@@ -825,7 +773,7 @@ class BatchDDPGHER(BatchLearner):
         actions = self.target_actor(batch.next_obs)
         values = self.target_critic(torch.cat([batch.next_obs, actions], dim=2))[..., 0]
         terminal = batch.terminal * (self.config.termination == "terminal")
-        span = (self.lowest, self.highest) if self.config.clip_target else None
+        span = self.span if self.config.clip_target else None
         return td_targets(
             batch.reward / self.unit, values, terminal, self.hyper("gamma"), span
         )
@@ -833,11 +781,11 @@ class BatchDDPGHER(BatchLearner):
     @torch.no_grad()
     def _move_targets(self) -> None:
         """Move the target networks by 1 - polyak towards actors and critics."""
-        share = (1.0 - self.hyper("polyak")) * self.mask(self.on)
+        share = (1.0 - self.hyper("polyak")) * self.is_on
         self.target_actor.flat.lerp_(self.actor.flat, share)
         self.target_critic.flat.lerp_(self.critic.flat, share)
 
-    def write(self, i: int) -> Learner:
+    def write(self, i: int) -> None:
         for networks in (
             self.actor,
             self.critic,
@@ -845,28 +793,24 @@ class BatchDDPGHER(BatchLearner):
             self.target_critic,
         ):
             networks.write(i)
-        one: Learner = self.learners[i]
-        return one
 
-    def _minibatches(self, drawn: Mapping[int, Any]) -> Any:
+    def _minibatches(
+        self, drawn: Mapping[int, Relabelled[Array]]
+    ) -> Iterator[Batch[Tensor]]:
         """Return minibatches of drawn transitions (E, n, ...); of runs that are off, any."""
         first = next(iter(drawn.values()))
         each = [drawn.get(i, first) for i in range(len(self.learners))]
-        slot, t, goal, reward, terminal = (
-            torch.from_numpy(np.stack(part)).to(self.device)
-            for part in zip(*each, strict=True)
-        )
-        here, obs = (
-            self.memory[self.e, slot, t],
-            self.memory[self.e, slot, t + 1][..., : self.width],
-        )
+        stacks = (torch.from_numpy(np.stack(part)) for part in zip(*each, strict=True))
+        one = Relabelled(*(part.to(self.device) for part in stacks))
+        here = self.memory[self.e, one.slot, one.step]
+        following = self.memory[self.e, one.slot, one.step + 1]
         batch = Batch(
-            obs=self._inputs(here[..., : self.width], goal),
-            goal=goal,
+            obs=self._inputs(here[..., : self.width], one.goal),
+            goal=one.goal,
             action=here[..., self.width :],
-            reward=reward,
-            next_obs=self._inputs(obs, goal),
-            terminal=terminal,
+            reward=one.reward,
+            next_obs=self._inputs(following[..., : self.width], one.goal),
+            terminal=one.terminal,
         )
         parts = (part.split(self.config.batch_size, dim=1) for part in batch)
         return (Batch(*minibatch) for minibatch in zip(*parts, strict=True))

@@ -31,14 +31,14 @@ class Batch(NamedTuple, Generic[Values]):
     """1 where this transition ends the episode, with its goal, else 0, (n,)."""
 
 
-class Relabelled(NamedTuple):
+class Relabelled(NamedTuple, Generic[Values]):
     """Say which transitions were drawn, one a row, and what HER makes of them."""
 
-    slot: Array
-    step: Array
-    goal: Array
-    reward: Array
-    terminal: Array
+    slot: Values
+    step: Values
+    goal: Values
+    reward: Values
+    terminal: Values
 
 
 class Replay:
@@ -180,7 +180,7 @@ class Replay:
 
     def relabel(
         self, n: int, replay_p: float, slots: Array | None = None
-    ) -> Relabelled:
+    ) -> Relabelled[Array]:
         """Draw `n` transitions, uniform over all or over those in `slots`, and give some new goals.
 
         HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that

@@ -152,7 +152,8 @@ def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worl
         for want, got in zip((one.test() for one in alone), many.test([True] * 3), strict=True):
             assert got == pytest.approx(want, rel=1e-3)
     for i, one in enumerate(alone):
-        _same(one.state_dict(), many.write(i).state_dict(), tolerance)
+        many.write(i)
+        _same(one.state_dict(), learners[i].state_dict(), tolerance)
 
 
 def _same(want, got, tolerance, where=""):
