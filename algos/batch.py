@@ -13,8 +13,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
-from itertools import pairwise
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from torch.nn.utils.rnn import pad_sequence
 from . import Array, DivergenceError, rollout
 from .ddpg_her import DDPGHER, Exploration, td_targets, tested
 from .learner import restore
-from .networks import MLP
+from .networks import MLP, layer_shapes
 from .normalizer import Normalizer, Scaling
 from .ppo import PPO, ActorLoss, explained_variance, surrogate
 from .replay import Batch, Relabelled
@@ -35,6 +34,7 @@ from .rollout import Episode, summary
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
 NAMES = ("observation", "desired_goal", "achieved_goal")  # side by side
+Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
 Key = tuple[int, int, int, int]
 Row = dict[str, float]
 Explore = Callable[[Array, Array], Array]
@@ -43,9 +43,9 @@ Explore = Callable[[Array, Array], Array]
 
 def alike(config: Any) -> tuple[Any, ...]:
     """Return what configurations of one batch have in common: all but the values of floats."""
-    values = {field.name: getattr(config, field.name) for field in fields(config)}
-    free = {name: "" for name, value in values.items() if isinstance(value, float)}
-    return (type(config), *{**values, **free}.items())
+    values = vars(config).items()
+    fixed = ((name, "" if isinstance(x, float) else x) for name, x in values)
+    return type(config), *fixed
 
 
 # -- networks --------------------------------------------------------------------------------
@@ -71,7 +71,7 @@ class Networks:
         first, more, _ = runs[0]
         self.is_tanh = isinstance(first[-1], nn.Tanh)
         sizes = [width, *(linear.out_features for linear in first.linears)]
-        self.shapes = [shape for n, m in pairwise(sizes) for shape in ((m, n), (m,))]
+        self.shapes = layer_shapes(sizes)
         self.sizes = [*map(math.prod, self.shapes), sum(p.numel() for p in more)]
         shape = len(runs), sum(self.sizes)
         self.flat, *self.moments = (torch.zeros(shape, device=device) for _ in range(3))
@@ -102,9 +102,9 @@ class Networks:
         for state in states:
             state["step"].copy_(self.n_steps[i, 0])
 
-    def __call__(self, x: Tensor, flat: Tensor | None = None) -> Tensor:
-        """Return outputs (E, n, outputs) for inputs (E, n, width), by other weights where given."""
-        pieces = (self.flat if flat is None else flat).split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return outputs (E, n, outputs) for inputs (E, n, width)."""
+        pieces = self.flat.split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
         last = len(self.shapes) - 2
         for k in range(0, last + 1, 2):
             weight = pieces[k].unflatten(1, self.shapes[k])
@@ -181,17 +181,17 @@ class Worlds:
     def play(
         self,
         keys: Mapping[int, Key],
-        wants_more: Callable[[int, list[Episode[Array]]], bool],
+        wants_more: Callable[[int, list[Episode]], bool],
         act: Callable[[Tensor], Tensor],
-        explore: Callable[[Mapping[int, np.random.Generator]], Explore],
-    ) -> tuple[Tensor, dict[int, list[Episode[Array]]]]:
+        explore: Callable[[Rngs], Explore],
+    ) -> tuple[Tensor, dict[int, list[Episode]]]:
         """Play episodes 0, 1, 2, ... of the runs with these keys until each has enough of them.
 
         `act` returns actions (E, W, d) of observations (E, W, width); `explore` what adds noise from
         the generators of worlds that begin. Returns all observations (E, n, steps + 1, width), of
         which the first are those of a run's episodes, and these.
         """
-        episodes = {i: list[Episode[Array]]() for i in keys}
+        episodes = {i: list[Episode]() for i in keys}
         waves, wanted = list[Tensor](), dict(keys)
         while wanted and len(waves) < rollout.MAX_FAILURES:
             obs, played = self._wave(wanted, len(waves) * self.shape[1], act, explore)
@@ -205,7 +205,7 @@ class Worlds:
 
     def _wave(
         self, keys: Mapping[int, Key], first: int, act: Any, explore: Any
-    ) -> tuple[Tensor, dict[int, Episode[Array]]]:
+    ) -> tuple[Tensor, dict[int, Episode]]:
         """Play one episode, number `first` and following, in each world of the runs with keys."""
         env, n, (_, n_worlds) = self.env, self.env.num_envs, self.shape
         rngs = {
@@ -240,8 +240,8 @@ class Worlds:
             done = is_free & ~broken
             rewards[done, lengths[done]] = reward[done]
             lengths += done
-            where = torch.from_numpy(np.flatnonzero(done)).to(seen.device)
-            views[where, torch.from_numpy(lengths[done]).to(seen.device)] = seen[where]
+            at = np.flatnonzero(done)
+            views[at, lengths[at]] = seen[at]
             success = np.where(done, self._flags(info, "is_success"), success & ~broken)
             terminated |= done & is_end
             diverged |= broken
@@ -310,11 +310,11 @@ class BatchLearner:
         """Return actions without exploration (E, W, d) from whole observations (E, W, ...)."""
         raise NotImplementedError
 
-    def explore(self, rngs: Mapping[int, np.random.Generator]) -> Explore:
+    def explore(self, rngs: Rngs) -> Explore:
         """Return the exploration of an episode in each of some worlds, with their generators."""
         raise NotImplementedError
 
-    def wants_more(self, i: int, episodes: list[Episode[Array]]) -> bool:
+    def wants_more(self, i: int, episodes: list[Episode]) -> bool:
         """Return whether run `i` has too few episodes to learn from."""
         raise NotImplementedError
 
@@ -377,7 +377,7 @@ class BatchLearner:
     def means(
         self, sums: Tensor, n_updates: Mapping[int, int], *networks: Networks
     ) -> dict[int, list[float]]:
-        """Return means of sums (E, k) by run; runs with losses or parameters that are not finite fail."""
+        """Return means of sums (E, k) by run; one with losses or parameters not finite fails."""
         weights = [network.flat.sum(dim=1, keepdim=True) for network in networks]
         rows = torch.cat([sums, *weights], dim=1).tolist()
         for i in [*self.on]:
@@ -453,7 +453,7 @@ class BatchPPO(BatchLearner):
         )
         return torch.distributions.Normal(self.actor(inputs), std, validate_args=False)
 
-    def explore(self, rngs: Mapping[int, np.random.Generator]) -> Explore:
+    def explore(self, rngs: Rngs) -> Explore:
         """Draw the noise of whole episodes at once."""
         n, steps = self.env.num_envs, self.env.max_episode_steps
         noise = np.zeros((n, steps, self.n_actions), np.float32)
@@ -465,7 +465,7 @@ class BatchPPO(BatchLearner):
             actions + noise[np.arange(n), steps.clip(max=noise.shape[1] - 1)]
         )
 
-    def wants_more(self, i: int, episodes: list[Episode[Array]]) -> bool:
+    def wants_more(self, i: int, episodes: list[Episode]) -> bool:
         more: bool = self.learners[i].wants_more(episodes)
         return more
 
@@ -540,15 +540,12 @@ class BatchPPO(BatchLearner):
         self.has_before |= {*kept}
         return self.mask(learns)
 
-    def _rows_of(self, minibatches: Mapping[int, Sequence[Tensor]]) -> Sequence[Tensor]:
-        """Return the rows of each minibatch of all runs, (E, size); -1 where a run has none."""
-        n = max(len(parts) for parts in minibatches.values())
-        size = max(len(parts[0]) for parts in minibatches.values())
-        rows = torch.full((n, len(self.learners), size), -1)
-        for i, parts in minibatches.items():
-            for j, part in enumerate(parts):
-                rows[j, i, : len(part)] = part
-        return rows.to(self.device).unbind()
+    def _rows_of(self, minibatches: Mapping[int, Sequence[Tensor]]) -> Iterator[Tensor]:
+        """Yield the rows of each minibatch of all runs, (E, size); -1 where a run has none."""
+        none = torch.zeros(0, dtype=torch.long)
+        each = (minibatches.get(i, ()) for i in range(len(self.learners)))
+        for parts in zip_longest(*each, fillvalue=none):
+            yield pad_sequence([*parts], True, padding_value=-1).to(self.device)
 
     def _step(
         self,
@@ -635,7 +632,7 @@ class BatchDDPGHER(BatchLearner):
         self.critic = networks("critic", n_goal + n_actions, "critic_adam")
         self.target_critic = networks("target_critic", n_goal + n_actions)
         n_steps = self.learners[0].replay.max_steps + 1
-        shape = len(self.learners), 0, n_steps, self.width + n_actions
+        shape = len(self.learners), 32, n_steps, self.width + n_actions
         self.memory = torch.zeros(shape, device=self.device)  # observations and actions
         for i, one in enumerate(self.learners):
             self._memorize(i, range(one.replay.n_episodes))
@@ -664,7 +661,7 @@ class BatchDDPGHER(BatchLearner):
         obs, goal, _ = seen.split([self.width, self.n_goal, self.n_goal], dim=-1)  # type: ignore[no-untyped-call]
         return self.actor(self._inputs(obs, goal))
 
-    def explore(self, rngs: Mapping[int, np.random.Generator]) -> Explore:
+    def explore(self, rngs: Rngs) -> Explore:
         """Draw the noise of whole episodes at once, in the order of the single learner's steps."""
         shape = self.env.max_episode_steps, self.env.num_envs
         noise = np.zeros((*shape, self.n_actions), np.float32)
@@ -690,7 +687,7 @@ class BatchDDPGHER(BatchLearner):
 
         return explored
 
-    def wants_more(self, i: int, episodes: list[Episode[Array]]) -> bool:
+    def wants_more(self, i: int, episodes: list[Episode]) -> bool:
         return sum(len(episode) > 0 for episode in episodes) < self.config.n_rollouts
 
     def collect(self) -> list[Row]:
@@ -708,11 +705,9 @@ class BatchDDPGHER(BatchLearner):
 
     def _memorize(self, i: int, slots: Sequence[int]) -> None:
         """Copy episodes of a run's replay to the device."""
-        missing = max([0, *(slot + 1 for slot in slots)]) - self.memory.shape[1]
-        if missing > 0:
-            more = max(missing, self.memory.shape[1], 32)
-            shape = len(self.memory), more, *self.memory.shape[2:]
-            self.memory = torch.cat([self.memory, self.memory.new_zeros(shape)], dim=1)
+        while max(slots, default=0) >= self.memory.shape[1]:
+            more = torch.zeros_like(self.memory)
+            self.memory = torch.cat([self.memory, more], dim=1)
         for slot in slots:
             obs, action = map(torch.from_numpy, self.learners[i].replay.episode(slot))
             rows = self.memory[i, slot, : len(obs)]
@@ -760,7 +755,7 @@ class BatchDDPGHER(BatchLearner):
         (of_critic,) = torch.autograd.grad(errors.sum(), [self.critic.flat])
         actions = self.actor(batch.obs)
         inputs = torch.cat([batch.obs, actions], dim=2)
-        mean_q = self.critic(inputs, self.critic.flat.detach())[..., 0].mean(dim=1)
+        mean_q = self.critic(inputs)[..., 0].mean(dim=1)
         losses = self.action_l2 * actions.square().mean(dim=(1, 2)) - mean_q
         (of_actor,) = torch.autograd.grad(losses.sum(), [self.actor.flat])
         self.actor.step(of_actor, self.lr[0], self.is_on)

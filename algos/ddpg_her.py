@@ -328,10 +328,10 @@ class DDPGHER(Learner):
         config = self.config.acting(self.progress_remaining)
         return _policy(config, self.spaces, self.actor, self.obs_stats, self.goal_stats)
 
-    def _player(self, purpose: int) -> PlayEpisode[Array]:
+    def _player(self, purpose: int) -> PlayEpisode:
         """Return what plays this rank's episodes, for one of the purposes in `rollout`."""
         explores = purpose != rollout.TEST
-        return PlayEpisode[Array](self.policy(), self.key(purpose), explores)
+        return PlayEpisode(self.policy(), self.key(purpose), explores)
 
     def collect(self) -> dict[str, float]:
         """Play one cycle's episodes: into the replay, and relabelled into the normalizers."""
@@ -352,7 +352,7 @@ class DDPGHER(Learner):
         if self.config.anneal_action_l2:
             self.action_l2 = self.progress_remaining * self.config.action_l2
 
-    def keep(self, episodes: list[Episode[Array]]) -> dict[str, float]:
+    def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Take a cycle's episodes into the replay and the normalizers; return counts and means."""
         self.cycles += 1
         stats = summary(episodes, self.comm)

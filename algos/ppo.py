@@ -336,7 +336,7 @@ class PPO(Learner):
         self.actor_adam = self.adam([*self.actor.parameters()], config.actor_lr)
         self.std_adam = self.adam(stds, std_lr)
         self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
-        self.epochs, self.episodes = 0, list[Episode[Array]]()
+        self.epochs, self.episodes = 0, list[Episode]()
         self.silence = Silence()
         self.before_update: dict[str, Any] = {}  # states of `acting`
         self.rewards = RewardScale(config.normalize_rewards)
@@ -361,8 +361,8 @@ class PPO(Learner):
     def collect(self) -> dict[str, float]:
         """Play whole episodes until `steps_per_epoch` are there."""
         self.begin()
-        job = PlayEpisode[Array](self.policy(), self.key(rollout.TRAIN))
-        episodes = list[Episode[Array]]()
+        job = PlayEpisode(self.policy(), self.key(rollout.TRAIN))
+        episodes = list[Episode]()
         for episode in self.workers.play(job, itertools.count()):
             episodes.append(episode)
             if not self.wants_more(episodes):
@@ -378,11 +378,11 @@ class PPO(Learner):
         if self.config.anneal_lr:
             self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
 
-    def wants_more(self, episodes: list[Episode[Array]]) -> bool:
+    def wants_more(self, episodes: list[Episode]) -> bool:
         """Return whether an epoch has too few steps; episodes without one count as one."""
         return sum(max(1, len(e)) for e in episodes) < self.config.steps_per_epoch
 
-    def keep(self, episodes: list[Episode[Array]]) -> dict[str, float]:
+    def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Keep the epoch's episodes to learn from; return counts and means."""
         self.episodes = require_transitions(episodes)
         self.epochs += 1
@@ -587,7 +587,7 @@ class PPO(Learner):
                 f"returns of the episodes seen lie between {low:.3g} and {high:.3g}: it has diverged",
             )
 
-    def _goes_on(self, episode: Episode[Array]) -> bool:
+    def _goes_on(self, episode: Episode) -> bool:
         """Return whether more would have followed an episode's last transition.
 
         Nor is it an end where the physics diverged and cut the episode off.

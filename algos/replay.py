@@ -97,7 +97,7 @@ class Replay:
                 "that are free here"
             )
 
-    def require_rewards(self, episode: Episode[Array]) -> None:
+    def require_rewards(self, episode: Episode) -> None:
         """Raise ValueError when an episode's rewards do not follow from its goals.
 
         Those of relabelled transitions do.
@@ -112,7 +112,7 @@ class Replay:
 
     # -- storing -----------------------------------------------------------------------------
 
-    def store(self, episodes: Sequence[Episode[Array]]) -> Array:
+    def store(self, episodes: Sequence[Episode]) -> Array:
         """Keep episodes; each takes the next free slot, or a random one when all are full.
 
         Returns the slots (n,), each once.
@@ -125,7 +125,7 @@ class Replay:
             slots[slot] = None
         return np.array([*slots], np.int64)
 
-    def _as_columns(self, episode: Episode[Array]) -> dict[str, Array]:
+    def _as_columns(self, episode: Episode) -> dict[str, Array]:
         """Return the steps of one episode: one more than it has transitions."""
         views, n_obs, n_goal = (
             np.stack(episode.obs),
