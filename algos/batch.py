@@ -23,7 +23,7 @@ from torch.nn.utils import parameters_to_vector
 from torch.nn.utils.rnn import pad_sequence
 
 from . import Array, DivergenceError, rollout
-from .ddpg_her import DDPGHER, Exploration, td_targets, tested
+from .ddpg_her import DDPGHER, Exploration, actor_loss, q_values, td_targets, tested
 from .learner import restore
 from .networks import MLP, layer_shapes
 from .normalizer import Normalizer, Scaling
@@ -34,9 +34,10 @@ from .rollout import Episode, summary
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
 NAMES = ("observation", "desired_goal", "achieved_goal")  # side by side
+LOSSES = ("critic_loss", "actor_loss", "mean_q")  # of DDPG
 Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
 Key = tuple[int, int, int, int]
-Row = dict[str, float]
+Rows = dict[int, dict[str, float]]  # of the progress table, by run
 Explore = Callable[[Array, Array], Array]
 """Return actions (n, d) to take from those of the policy and the numbers of their steps (n,)."""
 
@@ -89,6 +90,7 @@ class Networks:
             for row, tensors in zip((self.flat, *self.moments), parts, strict=True):
                 row[i, self.singles[i][0]] = parameters_to_vector(tensors).to(device)
             self.n_steps[i] = max(float(state["step"]) for state in states)
+        self.state = self.flat.detach(), self.n_steps, *self.moments
         self.flat.requires_grad_()
 
     @torch.no_grad()
@@ -133,9 +135,7 @@ class Networks:
     @torch.no_grad()
     def take(self, others: Networks, on: Tensor) -> None:
         """Become like others, with their Adams, in the runs where `on` (E, 1) is 1."""
-        mine = self.flat, self.n_steps, *self.moments
-        theirs = others.flat, others.n_steps, *others.moments
-        for own, other in zip(mine, theirs, strict=True):
+        for own, other in zip(self.state, others.state, strict=True):
             own.copy_(torch.where(on == 1, other, own))
 
 
@@ -295,7 +295,10 @@ class BatchLearner:
         self.n_actions = math.prod(env.single_action_space.shape)
         self.e = torch.arange(len(learners), device=self.device)[:, None]
         self.failures, self.on = dict[int, str](), list[int]()
-        self._hyper = dict[str, Tensor]()
+        values = vars(self.config).items()
+        names = [name for name, value in values if isinstance(value, int | float)]
+        each = [vars(one.config) for one in learners]
+        self.hyper = {name: self.numbers(x[name] for x in each) for name in names}
         self.build()
 
     def build(self) -> None:
@@ -314,10 +317,6 @@ class BatchLearner:
         """Return the exploration of an episode in each of some worlds, with their generators."""
         raise NotImplementedError
 
-    def wants_more(self, i: int, episodes: list[Episode]) -> bool:
-        """Return whether run `i` has too few episodes to learn from."""
-        raise NotImplementedError
-
     def columns(self, n_more: int) -> list[Tensor]:
         """Return the places of each run's inputs: of its own observation, and all of `n_more`."""
         spaces = [one.spaces.observation["observation"] for one in self.learners]
@@ -332,13 +331,6 @@ class BatchLearner:
         """Return 1 for these runs and 0 for others, (E, 1)."""
         return self.numbers(i in runs for i in range(len(self.learners)))
 
-    def hyper(self, name: str) -> Tensor:
-        """Return a hyperparameter of each run, (E, 1)."""
-        if name not in self._hyper:
-            values = (getattr(one.config, name) for one in self.learners)
-            self._hyper[name] = self.numbers(values)
-        return self._hyper[name]
-
     def rate(self, adam: str) -> Tensor:
         """Return the learning rate that an Adam of each single learner has now, (E, 1)."""
         adams = (getattr(one, adam) for one in self.learners)
@@ -352,14 +344,18 @@ class BatchLearner:
             for i, one in enumerate(self.learners)
         ]
 
-    def collect(self) -> list[Row]:
+    def collect(self) -> Rows:
         """Play the episodes of each active run that it learns from next; return counts and means."""
-        self.on, rows = [*np.flatnonzero(self.active)], [Row() for _ in self.learners]
+        self.on, rows = [*np.flatnonzero(self.active)], Rows()
         for i in self.on:
             self.learners[i].begin()
         keys = {i: self.learners[i].key(rollout.TRAIN) for i in self.on}
-        played = self.worlds.play(keys, self.wants_more, self.act, self.explore)
-        self.obs, self.episodes = played
+        self.obs, self.episodes = self.worlds.play(
+            keys,
+            lambda i, played: self.learners[i].wants_more(played),
+            self.act,
+            self.explore,
+        )
         for i in [*self.on]:
             for episode in self.episodes[i]:
                 episode.obs = episode.obs[:, self.own[i]]  # type: ignore[call-overload]
@@ -382,10 +378,9 @@ class BatchLearner:
         rows = torch.cat([sums, *weights], dim=1).tolist()
         for i in [*self.on]:
             self.tried(i, lambda one, i=i: one.require_finite(rows[i]))
-        n = sums.shape[1]
-        return {i: [x / n_updates[i] for x in rows[i][:n]] for i in self.on}
+        return {i: [x / n_updates[i] for x in rows[i]] for i in self.on}
 
-    def play_best(self, keys: Mapping[int, Key], n: int) -> dict[int, Row]:
+    def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
         _, episodes = self.worlds.play(
             keys,
@@ -395,9 +390,9 @@ class BatchLearner:
         )
         return {i: summary(mine) for i, mine in episodes.items()}
 
-    def test(self, asked: Sequence[bool]) -> list[Row]:
+    def test(self, asked: Sequence[bool]) -> Rows:
         """Return how good the runs that are asked for (E,) are without exploration; may be empty."""
-        return [{} for _ in asked]
+        return {}
 
     def write(self, i: int) -> None:
         """Write the state of run `i` into its single learner."""
@@ -448,7 +443,7 @@ class BatchPPO(BatchLearner):
 
     def _policy(self, inputs: Tensor) -> torch.distributions.Normal:
         std = (
-            self.hyper("action_variance").sqrt()[..., None]
+            self.hyper["action_variance"].sqrt()[..., None]
             * self.actor.flat[:, None, -self.n_actions :].exp()
         )
         return torch.distributions.Normal(self.actor(inputs), std, validate_args=False)
@@ -465,11 +460,7 @@ class BatchPPO(BatchLearner):
             actions + noise[np.arange(n), steps.clip(max=noise.shape[1] - 1)]
         )
 
-    def wants_more(self, i: int, episodes: list[Episode]) -> bool:
-        more: bool = self.learners[i].wants_more(episodes)
-        return more
-
-    def update(self) -> list[Row]:
+    def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
         batch, columns = self._batch()
         verdicts = {i: self.learners[i].judge() for i in self.on}
@@ -564,7 +555,7 @@ class BatchPPO(BatchLearner):
             part[self.e, rows.clamp(min=0)] for part in batch
         )
         log_ratio = self._policy(obs).log_prob(actions).sum(dim=-1) - log_prob
-        result = surrogate(log_ratio, advantages, self.hyper("clip_range"))
+        result = surrogate(log_ratio, advantages, self.hyper["clip_range"])
         errors = (self.critic(obs)[..., 0] - returns).square()
         parts = [result.loss, result.kl, result.is_clipped, errors]
         stats = torch.stack([(part * share).sum(dim=1) for part in parts], dim=1)
@@ -580,22 +571,22 @@ class BatchPPO(BatchLearner):
         return torch.cat([stats[:, :3] * learns, stats[:, 3:]], dim=1)
 
     def _clipped(self, gradient: Tensor) -> Tensor:
-        share = self.hyper("max_grad_norm") / (
+        share = self.hyper["max_grad_norm"] / (
             gradient.norm(dim=1, keepdim=True) + 1e-6
         )
         return gradient * share.clamp(max=1.0)
 
     def _report(
         self, sums: Tensor, columns: Any, verdicts: Any, n_updates: Any
-    ) -> list[Row]:
+    ) -> Rows:
         """Return the rows of the table, as the single learner does, once moments are updated."""
-        rows, names = [Row() for _ in self.learners], (*ActorLoss._fields, "value_loss")
+        rows, names = Rows(), (*ActorLoss._fields, "value_loss")
         log_std = self.actor.flat[:, -self.n_actions :].detach().cpu()
         for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
             one = self.learners[i]
             one.gaussian.log_std.data.copy_(log_std[i])
             explained = explained_variance(columns[i][:, -1], columns[i][:, -2])
-            rows[i] = dict(zip(names, means, strict=True))
+            rows[i] = dict(zip(names, means, strict=False))
             rows[i] |= one.after_update(explained, verdicts[i], n_updates[i])
         self.look()
         return rows
@@ -651,7 +642,7 @@ class BatchDDPGHER(BatchLearner):
 
     def _inputs(self, *parts: Tensor) -> Tensor:
         """Return the networks' inputs (E, n, ...) from observations and goals (E, n, ...)."""
-        limit = self.hyper("clip_obs")[..., None]
+        limit = self.hyper["clip_obs"][..., None]
         both = zip(self.scales, parts, strict=True)
         return torch.cat(
             [scale(part.clamp(-limit, limit)) for scale, part in both], dim=-1
@@ -687,21 +678,18 @@ class BatchDDPGHER(BatchLearner):
 
         return explored
 
-    def wants_more(self, i: int, episodes: list[Episode]) -> bool:
-        return sum(len(episode) > 0 for episode in episodes) < self.config.n_rollouts
-
-    def collect(self) -> list[Row]:
+    def collect(self) -> Rows:
         rows = super().collect()
         for i in self.on:
             self._memorize(i, self.learners[i].new_slots)
         self.look()
         return rows
 
-    def test(self, asked: Sequence[bool]) -> list[Row]:
+    def test(self, asked: Sequence[bool]) -> Rows:
         keys = {i: self.learners[i].key(rollout.TEST) for i in np.flatnonzero(asked)}
         n = self.config.n_test_rollouts * self.config.n_rollouts
         rows = self.play_best(keys, n) if n else {}
-        return [tested(rows[i]) if i in rows else {} for i in range(len(asked))]
+        return {i: tested(row) for i, row in rows.items()}
 
     def _memorize(self, i: int, slots: Sequence[int]) -> None:
         """Copy episodes of a run's replay to the device."""
@@ -714,8 +702,10 @@ class BatchDDPGHER(BatchLearner):
             rows[:, : obs.shape[1]] = obs.to(self.device)
             rows[:, self.width :] = action.to(self.device)
 
-    def update(self) -> list[Row]:
+    def update(self) -> Rows:
         """Take one cycle's updates of each active run, and move its target networks."""
+        if not self.on:
+            return {}
         config, n, singles = self.config, self.config.n_batches, self.learners
         drawn, factors = dict[int, Relabelled[Array]](), [1.0] * len(singles)
         for i in self.on:
@@ -738,11 +728,10 @@ class BatchDDPGHER(BatchLearner):
             sums += self._step(minibatch)
             if i % (config.target_update_interval or n) == 0 or i == n:
                 self._move_targets()
-        rows, n_updates = [Row() for _ in singles], dict.fromkeys(self.on, n)
+        rows, n_updates = Rows(), dict.fromkeys(self.on, n)
         for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
-            critic_loss, actor_loss, mean_q = means
-            rows[i] = {"critic_loss": critic_loss, "actor_loss": actor_loss}
-            rows[i] |= {"mean_q": mean_q * singles[i].rewards.unit, "updates": n}
+            rows[i] = dict(zip(LOSSES, means, strict=False)) | {"updates": n}
+            rows[i]["mean_q"] *= singles[i].rewards.unit
         return rows
 
     def _step(self, batch: Batch[Tensor]) -> Tensor:
@@ -750,13 +739,10 @@ class BatchDDPGHER(BatchLearner):
 
         Returns the critics' losses, the actors' and the mean Q of the actors' actions, (E, 3).
         """
-        values = self.critic(torch.cat([batch.obs, batch.action], dim=2))[..., 0]
-        errors = (values - self._targets(batch)).square().mean(dim=1)
+        errors = q_values(self.critic, batch.obs, batch.action) - self._targets(batch)
+        errors = errors.square().mean(dim=1)
         (of_critic,) = torch.autograd.grad(errors.sum(), [self.critic.flat])
-        actions = self.actor(batch.obs)
-        inputs = torch.cat([batch.obs, actions], dim=2)
-        mean_q = self.critic(inputs)[..., 0].mean(dim=1)
-        losses = self.action_l2 * actions.square().mean(dim=(1, 2)) - mean_q
+        losses, mean_q = actor_loss(self.actor, self.critic, batch.obs, self.action_l2)
         (of_actor,) = torch.autograd.grad(losses.sum(), [self.actor.flat])
         self.actor.step(of_actor, self.lr[0], self.is_on)
         self.critic.step(of_critic, self.lr[1], self.is_on)
@@ -766,17 +752,17 @@ class BatchDDPGHER(BatchLearner):
     def _targets(self, batch: Batch[Tensor]) -> Tensor:
         """Return the critics' targets (E, n), from the target networks."""
         actions = self.target_actor(batch.next_obs)
-        values = self.target_critic(torch.cat([batch.next_obs, actions], dim=2))[..., 0]
+        values = q_values(self.target_critic, batch.next_obs, actions)
         terminal = batch.terminal * (self.config.termination == "terminal")
         span = self.span if self.config.clip_target else None
         return td_targets(
-            batch.reward / self.unit, values, terminal, self.hyper("gamma"), span
+            batch.reward / self.unit, values, terminal, self.hyper["gamma"], span
         )
 
     @torch.no_grad()
     def _move_targets(self) -> None:
         """Move the target networks by 1 - polyak towards actors and critics."""
-        share = (1.0 - self.hyper("polyak")) * self.is_on
+        share = (1.0 - self.hyper["polyak"]) * self.is_on
         self.target_actor.flat.lerp_(self.actor.flat, share)
         self.target_critic.flat.lerp_(self.critic.flat, share)
 

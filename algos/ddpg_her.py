@@ -28,9 +28,10 @@ from . import (
     Fraction,
     NotNegative,
     Positive32,
+    Workers,
     rollout,
 )
-from .learner import Learner, LearnerConfig, RewardScale, restore
+from .learner import Learner, LearnerConfig, RewardScale
 from .mpi import same_on_all_ranks
 from .networks import MLP, flushed_denormals, require_hidden
 from .normalizer import MIN_STD, Normalizer, Scaling
@@ -43,14 +44,12 @@ from .policy import (
     input_stats,
     new_actor,
     on_cpu,
-    require_layers,
 )
 from .replay import Batch, Replay
 from .rollout import (
     Episode,
     PlayEpisode,
     largest_return,
-    play_episodes,
     require_transitions,
     summary,
 )
@@ -168,6 +167,34 @@ def td_targets(
     )
 
 
+def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
+    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
+
+    DivergenceError when `rollout.MAX_FAILURES` more have none.
+    """
+    episodes: list[Episode] = []
+    while missing := n - sum(len(episode) > 0 for episode in episodes):
+        if len(episodes) >= n + rollout.MAX_FAILURES:
+            require_transitions(episodes[-rollout.MAX_FAILURES :])
+        episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
+    return episodes
+
+
+def q_values(critic: Any, obs: Tensor, actions: Tensor) -> Tensor:
+    """Return a critic's values (..., n) of actions (..., n, d)."""
+    values: Tensor = critic(torch.cat([obs, actions], dim=-1)).squeeze(-1)
+    return values
+
+
+def actor_loss(
+    actor: Any, critic: Any, obs: Tensor, action_l2: Any
+) -> tuple[Tensor, Tensor]:
+    """Return the actor's loss and the mean Q of its actions, (...), for inputs (..., n, size)."""
+    actions = actor(obs)
+    mean_q = q_values(critic, obs, actions).mean(dim=-1)
+    return action_l2 * actions.square().mean(dim=(-2, -1)) - mean_q, mean_q
+
+
 class Exploration:
     """Make the actions of one episode noisy, and some of them random for several steps.
 
@@ -282,16 +309,18 @@ class DDPGHER(Learner):
         her = 0.0 if is_single else REPLAY_P
         replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
-        self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
+        parts = self.new_parts(config, self.spaces, comm, generator)
+        self.actor, self.obs_stats, self.goal_stats = parts.values()
+        self.actor.to(self.device)
         sizes = (self._n_obs + n_actions, *config.hidden, 1)
         self.critic = MLP(sizes, generator).to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
         self.critic_parameters = [*self.critic.parameters()]
-        self._broadcast(self.actor, self.critic)
+        for parameter in self.actor_parameters + self.critic_parameters:
+            self.comm.broadcast_(parameter)
         self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
-        self.obs_stats, self.goal_stats = _stats(config, self.spaces, comm)
         self.replay = Replay(
             config.buffer_size,
             steps,
@@ -324,10 +353,6 @@ class DDPGHER(Learner):
 
     # -- acting and collecting ---------------------------------------------------------------
 
-    def policy(self) -> Policy:
-        config = self.config.acting(self.progress_remaining)
-        return _policy(config, self.spaces, self.actor, self.obs_stats, self.goal_stats)
-
     def _player(self, purpose: int) -> PlayEpisode:
         """Return what plays this rank's episodes, for one of the purposes in `rollout`."""
         explores = purpose != rollout.TEST
@@ -351,6 +376,10 @@ class DDPGHER(Learner):
             self.anneal(self.actor_adam, self.critic_adam)
         if self.config.anneal_action_l2:
             self.action_l2 = self.progress_remaining * self.config.action_l2
+
+    def wants_more(self, episodes: list[Episode]) -> bool:
+        """Return whether a cycle has too few episodes with transitions."""
+        return sum(len(e) > 0 for e in episodes) < self.config.n_rollouts
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Take a cycle's episodes into the replay and the normalizers; return counts and means."""
@@ -400,7 +429,9 @@ class DDPGHER(Learner):
         critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
         self.require_finite(means, self.actor, self.critic)
         if self.updates % CHECK_EVERY < n:
-            self._require_same(*self.actor_parameters, *self.critic_parameters)
+            whole = parameters_to_vector(self.actor_parameters + self.critic_parameters)
+            if not same_on_all_ranks(self.comm, whole):
+                raise DivergenceError("the ranks' parameters differ")
         return {
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
@@ -460,8 +491,8 @@ class DDPGHER(Learner):
     def _critic_gradient(self, batch: Batch[Tensor]) -> Tensor:
         """Compute the gradient of the critic's squared error; return the loss, ()."""
         targets = self._targets(batch)
-        values = self.critic(torch.cat([batch.obs, batch.action], dim=1)).squeeze(-1)
-        loss = (values - targets).square().mean()
+        errors = q_values(self.critic, batch.obs, batch.action) - targets
+        loss = errors.square().mean()
         self.critic_adam.zero_grad()
         loss.backward(inputs=self.critic_parameters)
         return loss.detach()
@@ -471,9 +502,7 @@ class DDPGHER(Learner):
 
         Returns the actor's loss and the mean Q, (2,).
         """
-        actions = self.actor(inputs)
-        mean_q = self.critic(torch.cat([inputs, actions], dim=1)).mean()
-        loss = self.action_l2 * actions.square().mean() - mean_q
+        loss, mean_q = actor_loss(self.actor, self.critic, inputs, self.action_l2)
         self.actor_adam.zero_grad()
         loss.backward(inputs=self.actor_parameters)  # and not the critic's
         return torch.stack([loss, mean_q]).detach()
@@ -483,13 +512,13 @@ class DDPGHER(Learner):
         """Return the critic's targets (n,), from the target networks."""
         config, inputs = self.config, batch.next_obs
         next_actions = self.target_actor(inputs)
-        next_values = self.target_critic(torch.cat([inputs, next_actions], dim=1))
+        next_values = q_values(self.target_critic, inputs, next_actions)
         terminal = batch.terminal * (config.termination == "terminal")
         scale = self.rewards
         unit, low, high = scale.unit, scale.lowest, scale.highest
         span = (low / unit, high / unit) if config.clip_target else None
         return td_targets(
-            batch.reward / unit, next_values.squeeze(-1), terminal, config.gamma, span
+            batch.reward / unit, next_values, terminal, config.gamma, span
         )
 
     @torch.no_grad()
@@ -513,12 +542,6 @@ class DDPGHER(Learner):
         extreme = max(-self.rewards.lowest, self.rewards.highest, *largest)
         return self.rewards.grow(float(extreme) / of_ones)
 
-    def _broadcast(self, *networks: nn.Module) -> None:
-        """Give all ranks the parameters of rank 0."""
-        for network in networks:
-            for parameter in network.parameters():
-                self.comm.broadcast_(parameter)
-
     def _sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""
         if self.comm.size == 1:
@@ -528,53 +551,38 @@ class DDPGHER(Learner):
         self.comm.sum_(vector)
         vector_to_parameters(vector, gradients)
 
-    def _require_same(self, *tensors: Tensor) -> None:
-        """Raise DivergenceError where the ranks have parted."""
-        if not all(same_on_all_ranks(self.comm, tensor) for tensor in tensors):
-            raise DivergenceError("the ranks' parameters differ")
-
-    # -- saving ------------------------------------------------------------------------------
+    # -- the policy --------------------------------------------------------------------------
 
     @staticmethod
-    def saved_policy(
-        config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]
-    ) -> Policy:
-        require_layers(config.hidden, spaces, saved["actor"])
-        actor = new_actor(config.hidden, spaces, torch.Generator())
-        obs_stats, goal_stats = _stats(config, spaces, Communicator())
-        parts = {"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}
-        restore(parts, saved)
-        return _policy(config, spaces, actor, obs_stats, goal_stats)
+    def new_parts(
+        config: DDPGHERConfig,
+        spaces: Spaces,
+        comm: Communicator,
+        generator: torch.Generator,
+    ) -> dict[str, Any]:
+        space: Any = spaces.observation
+        clip, scale = config.norm_clip, config.taxel_scale
+        return {
+            "actor": new_actor(config.hidden, spaces, generator),
+            "obs_stats": input_stats(space["observation"], comm, clip, True, scale),
+            "goal_stats": Normalizer(goal_size(space), comm, clip),
+        }
+
+    @staticmethod
+    def as_policy(config: DDPGHERConfig, spaces: Spaces, *parts: Any) -> Policy:
+        actor, *stats = parts
+        explore = partial(
+            Exploration,
+            noise_eps=config.noise_eps,
+            random_eps=config.random_eps,
+            random_hold=config.random_hold,
+        )
+        scalings = (each.scaling() for each in stats)
+        inputs = GoalInputs(*scalings, config.clip_obs)
+        return Policy(on_cpu(actor), inputs, explore, spaces)
 
 
 def tested(stats: dict[str, float]) -> dict[str, float]:
     """Return what the table keeps of test episodes."""
     names = ("success_rate", "mean_return", *rollout.FAULTS)
     return {f"test_{name}": stats[name] for name in names}
-
-
-def _stats(
-    config: DDPGHERConfig, spaces: Spaces, comm: Communicator
-) -> tuple[Normalizer, Normalizer]:
-    """Return moments of observations and of goals, before anything was seen."""
-    space: Any = spaces.observation
-    clip, scale = config.norm_clip, config.taxel_scale
-    obs_stats = input_stats(space["observation"], comm, clip, True, scale)
-    return obs_stats, Normalizer(goal_size(space), comm, clip)
-
-
-def _policy(
-    config: DDPGHERConfig,
-    spaces: Spaces,
-    actor: MLP,
-    obs_stats: Normalizer,
-    goal_stats: Normalizer,
-) -> Policy:
-    explore = partial(
-        Exploration,
-        noise_eps=config.noise_eps,
-        random_eps=config.random_eps,
-        random_hold=config.random_hold,
-    )
-    inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
-    return Policy(on_cpu(actor), inputs, explore, spaces)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 SEEN = ("observation", "desired_goal")  # by a policy
 GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
-MAX_ENTRIES = 10**6  # of an observation or an action: more is a damaged file
 Noise = Callable[[Array], Array]
 """Make actions (n, d) in [-1, 1] noisy, perhaps beyond these bounds."""
 TaxelScale = Literal["none", "block", "each"]
@@ -42,34 +40,6 @@ class Spaces(NamedTuple):
             spaces = self.observation.spaces
             parts = {key: spaces[key] for key in GOAL_KEYS if key in spaces}
         return {key: tuple(part.shape or ()) for key, part in parts.items()}
-
-    def to_json(self) -> str:
-        """Return what a policy has to know: shapes of observations, bounds of actions."""
-        low, high = action_bounds(self.action)
-        action = {"shape": low.shape, "dtype": str(low.dtype)}
-        action |= {"low": low.ravel().tolist(), "high": high.ravel().tolist()}
-        return json.dumps({"observation": self.shapes, "action": action})
-
-    @classmethod
-    def from_json(cls, text: str) -> Spaces:
-        """Return spaces of which `to_json` would say the same; observations have no bounds.
-
-        Raises an error of any kind when this is not such a text.
-        """
-        known = json.loads(text)
-        action, shapes = known["action"], known["observation"]
-        if sum(math.prod(shape) for shape in shapes.values()) > MAX_ENTRIES:
-            raise ValueError(f"spaces: found the shapes {str(shapes)[:50]}")
-        boxes: dict[str, gym.Space[Any]] = {
-            key: gym.spaces.Box(-np.inf, np.inf, tuple(shape))
-            for key, shape in shapes.items()
-        }
-        low, high = (
-            np.array(action[name], action["dtype"]).reshape(action["shape"])
-            for name in ("low", "high")
-        )
-        bounds = gym.spaces.Box(low, high, dtype=low.dtype.type)
-        return cls(boxes.get("") or gym.spaces.Dict(boxes), bounds)
 
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:

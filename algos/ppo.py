@@ -17,12 +17,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
+from scipy.special import betaln
 from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
-from .learner import Learner, LearnerConfig, RewardScale, restore
+from .learner import Counts, Learner, LearnerConfig, RewardScale, restore
 from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
-from .normalizer import Normalizer
 from .policy import (
     FlatInputs,
     Noise,
@@ -33,7 +33,6 @@ from .policy import (
     input_stats,
     new_actor,
     on_cpu,
-    require_layers,
 )
 from .rollout import (
     Episode,
@@ -235,7 +234,7 @@ class ActorLoss(NamedTuple):
 Verdict = Literal["learn", "wait", "undo"]
 
 
-class Silence:
+class Silence(Counts):
     """Judge whether the last update is to blame that every episode fails alike.
 
     It counts episodes by their returns: those that failed, with the lowest return of an epoch in which
@@ -272,21 +271,11 @@ class Silence:
     def _judge_failures(self, n: int) -> Verdict:
         self.failed_since += n
         failed, others = self.failed + self.PRIOR, self.others + self.PRIOR
-        # Beta function of (failed + failed_since, others) over that of (failed, others).
-        log_p = math.lgamma(failed + self.failed_since) + math.lgamma(failed + others)
-        log_p -= math.lgamma(failed + self.failed_since + others) + math.lgamma(failed)
+        log_p = betaln(failed + self.failed_since, others) - betaln(failed, others)
         if not self.can_undo or log_p >= math.log(self.LEVEL):
             return "wait"
         self.failed_since, self.can_undo = 0, False  # these were the undone policy's
         return "undo"
-
-    def state_dict(self) -> dict[str, float]:
-        """Return what it has counted."""
-        return dict(vars(self))
-
-    def load_state_dict(self, state: dict[str, float]) -> None:
-        """Go on counting from what `state_dict` returned."""
-        vars(self).update(state)
 
 
 class Transitions(NamedTuple):
@@ -323,8 +312,8 @@ class PPO(Learner):
                 f"ranks: found {self.comm.size} with ppo, allowed 1; without mpirun, --workers plays "
                 "on many cores"
             )
-        parts = _policy_parts(config, self.spaces, generator)
-        self.actor, self.gaussian, self.obs_stats = parts
+        parts = self.new_parts(config, self.spaces, self.comm, generator)
+        self.actor, self.gaussian, self.obs_stats = parts.values()
         self.critic = MLP((self._n_obs, *config.hidden, 1), generator)
         if config.orthogonal_init:
             start_orthogonal(self.actor, ACTOR_GAIN, generator)
@@ -352,11 +341,6 @@ class PPO(Learner):
         )
 
     # -- acting and collecting ---------------------------------------------------------------
-
-    def policy(self) -> Policy:
-        return _policy(
-            self.config, self.spaces, self.actor, self.gaussian, self.obs_stats
-        )
 
     def collect(self) -> dict[str, float]:
         """Play whole episodes until `steps_per_epoch` are there."""
@@ -561,20 +545,17 @@ class PPO(Learner):
         Where more would have followed an episode, it could have been the largest reward forever. New
         critics are off by what their weights give them, and nothing is known before the first reward.
         """
-        gamma, reach = self.config.gamma, float(np.abs(values).max())
-        self.first_values = self.first_values or reach / self.rewards.unit
-        for episode in self.episodes:
-            self.rewards.see(np.array(episode.rewards))
-        for episode in self.episodes:
-            for extreme in (self.rewards.lowest, self.rewards.highest):
-                rest = 0.0
-                if extreme and self._goes_on(episode):
-                    rest = (
-                        extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
-                    )
-                returns = discounted([*episode.rewards, rest], gamma)
-                self.lowest_return = min(self.lowest_return, *returns)
-                self.highest_return = max(self.highest_return, *returns)
+        gamma, unit = self.config.gamma, self.rewards.unit
+        self.first_values = self.first_values or float(np.abs(values).max()) / unit
+        self.rewards.see(np.concatenate([e.rewards for e in self.episodes]))
+        bounds = self.rewards.lowest, self.rewards.highest
+        for episode, extreme in itertools.product(self.episodes, bounds):
+            rest = 0.0
+            if extreme and self._goes_on(episode):
+                rest = extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
+            returns = discounted([*episode.rewards, rest], gamma)
+            self.lowest_return = min(self.lowest_return, *returns)
+            self.highest_return = max(self.highest_return, *returns)
         low, high = self.lowest_return, self.highest_return
         margin = high - low + MAX_GROWTH * self.first_values * self.rewards.unit
         if (
@@ -597,40 +578,23 @@ class PPO(Learner):
         )
         return bool(episode.faults["diverged"]) or is_bootstrapped
 
-    # -- saving ------------------------------------------------------------------------------
+    # -- the policy --------------------------------------------------------------------------
 
     @staticmethod
-    def saved_policy(
-        config: PPOConfig, spaces: Spaces, saved: dict[str, Any]
-    ) -> Policy:
-        require_layers(config.hidden, spaces, saved["actor"])
-        parts = _policy_parts(config, spaces, torch.Generator())
-        restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
-        return _policy(config, spaces, *parts)
+    def new_parts(
+        config: PPOConfig,
+        spaces: Spaces,
+        comm: Communicator,
+        generator: torch.Generator,
+    ) -> dict[str, Any]:
+        actor = new_actor(config.hidden, spaces, generator)
+        gaussian = Gaussian(action_size(spaces.action), config.action_variance)
+        scales = OBS_CLIP, config.normalize_obs, config.taxel_scale
+        stats = input_stats(spaces.observation, comm, *scales)
+        return {"actor": actor, "gaussian": gaussian, "obs_stats": stats}
 
-
-def _policy_parts(
-    config: PPOConfig, spaces: Spaces, generator: torch.Generator
-) -> tuple[MLP, Gaussian, Normalizer]:
-    """Return what a policy is made of, before anything was learned."""
-    actor = new_actor(config.hidden, spaces, generator)
-    gaussian = Gaussian(action_size(spaces.action), config.action_variance)
-    stats = input_stats(
-        spaces.observation,
-        Communicator(),
-        OBS_CLIP,
-        config.normalize_obs,
-        config.taxel_scale,
-    )
-    return actor, gaussian, stats
-
-
-def _policy(
-    config: PPOConfig,
-    spaces: Spaces,
-    actor: MLP,
-    gaussian: Gaussian,
-    stats: Normalizer,
-) -> Policy:
-    explore = partial(gaussian_noise, std=gaussian.std())
-    return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)
+    @staticmethod
+    def as_policy(config: PPOConfig, spaces: Spaces, *parts: Any) -> Policy:
+        actor, gaussian, stats = parts
+        explore = partial(gaussian_noise, std=gaussian.std())
+        return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)

@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from . import Array, Communicator, DivergenceError, UnfitError, Workers
+from . import Array, Communicator, DivergenceError, UnfitError
 from .policy import FLOAT32_MAX, Policy
 
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
@@ -49,7 +49,7 @@ class Episode:
 
     def add(self, policy: Policy, obs: Any) -> None:
         """Keep the next observation; DivergenceError where it is not finite."""
-        self.obs.append(finite(policy.read(obs), "an observation"))
+        self.obs.append(finite(policy.read(obs), "an observation of the environment"))
 
     def __len__(self) -> int:
         """Return the number of transitions."""
@@ -147,20 +147,7 @@ def _number(value: Any, what: str) -> float:
     """Return what an environment returned as a finite float; UnfitError where it is no number."""
     if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
         raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
-    return float(finite(value, what))
-
-
-def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
-    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
-
-    DivergenceError when `MAX_FAILURES` more have none.
-    """
-    episodes: list[Episode] = []
-    while missing := n - sum(len(episode) > 0 for episode in episodes):
-        if len(episodes) >= n + MAX_FAILURES:
-            require_transitions(episodes[-MAX_FAILURES:])
-        episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
-    return episodes
+    return float(finite(value, f"the {what} of the environment"))
 
 
 def summary(
@@ -219,7 +206,5 @@ def finite(values: Any, what: str) -> Any:
     is_finite = np.abs(values) <= FLOAT32_MAX
     if not is_finite.all():
         which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
-        raise DivergenceError(
-            f"{what} of the environment is not finite, or beyond float32{which}"
-        )
+        raise DivergenceError(f"{what} is not finite, or beyond float32{which}")
     return values

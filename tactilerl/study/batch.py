@@ -405,7 +405,8 @@ class _Training:
             self._success[i] = parts[-1]["success_rate"]
             row = {"epoch": self.epochs[i], "env_steps": one.env_steps}
             row |= training.merged(parts, [part["episodes"] for part in parts])
-            row |= training.merged(learned[i], [1] * len(parts)) | tests[i]
+            row |= training.merged(learned[i], [1] * len(parts))
+            row |= tests.get(i, {})
             # A run's share of the batch's time, so that the sum over runs is what was spent.
             times = {"collect_s": collect_s, "update_s": update_s}
             row |= {k: round(v / len(before), 4) for k, v in times.items()}

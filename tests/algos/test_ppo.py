@@ -24,6 +24,7 @@ from tactilerl.algos.ppo import (
     surrogate,
 )
 from tactilerl.envs import vector
+from tactilerl.runs.spaces import from_json, to_json
 
 from states import flat
 from states import vector as parameters
@@ -263,7 +264,7 @@ class TestLearning:
         low, high = {"none": (1.0, 1.0), "block": (4.5, 5.0), "each": (4.9, 5.0)}[scale]
         assert low <= fired <= high
         assert silent == 0.0 or scale == "each"
-        again = PPO.saved_policy(ppo.config, Spaces.from_json(ppo.spaces.to_json()), ppo.state_dict())
+        again = PPO.saved_policy(ppo.config, from_json(to_json(ppo.spaces)), ppo.state_dict())
         rare = np.array([7.0, 7.0, 1.0], np.float32)
         assert np.array_equal(again.act(rare), ppo.policy().act(rare))
 
