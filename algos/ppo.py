@@ -399,9 +399,8 @@ class PPO(Learner):
                     continue
                 if of_actor[-1].kl.item() > config.target_kl:
                     break
-        losses = ActorLoss(*(torch.zeros(1),) * 3)
-        if actor_losses:
-            losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
+        actor_losses = actor_losses or [ActorLoss(*torch.zeros(3))]  # in a silent epoch
+        losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
         learned = {
             "policy_loss": losses.policy_loss.mean().item(),
             "value_loss": torch.stack(value_losses).mean().item(),
@@ -445,9 +444,7 @@ class PPO(Learner):
     ) -> list[ActorLoss]:
         """Take an Adam step on the clipped objective of each minibatch, given as rows of the batch."""
         losses = []
-        parameters = [*self.actor.parameters()]
-        if self.config.exploration == "learned":
-            parameters += self.gaussian.parameters()
+        parameters = [*self.actor.parameters(), *self.gaussian.parameters()]
         for rows in minibatches:
             log_prob = self.gaussian.log_prob(
                 batch.actions[rows], self.actor(batch.obs[rows])

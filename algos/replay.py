@@ -15,6 +15,7 @@ from .rollout import Episode
 Reward = Callable[[Array, Array], Array]
 Ends = Callable[[Array, Array], Array | None]
 Values = TypeVar("Values")
+COLUMNS = ("obs", "desired", "achieved", "action", "terminal")
 
 
 class Batch(NamedTuple, Generic[Values]):
@@ -69,8 +70,8 @@ class Replay:
             )
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
         n_obs, n_goal, n_actions = sizes
-        self.sizes = {"obs": n_obs, "achieved": n_goal, "desired": n_goal}
-        self.sizes |= {"action": n_actions, "terminal": 1}
+        widths = n_obs, n_goal, n_goal, n_actions, 1
+        self.sizes = dict(zip(COLUMNS, widths, strict=True))
         self.reward, self.rng, self.ends = reward, rng, ends
         self.n_episodes = 0
         self._columns: dict[str, Array] = {}  # (slot, step, size)
@@ -117,28 +118,22 @@ class Replay:
 
         Returns the slots (n,), each once.
         """
-        slots: dict[int, None] = {}
+        slots = list[int]()
         for episode in episodes:
             is_full = self.n_episodes == self.n_slots
             slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
             self._put(slot, self._as_columns(episode))
-            slots[slot] = None
-        return np.array([*slots], np.int64)
+            slots.append(slot)
+        return np.array([*dict.fromkeys(slots)], np.int64)
 
     def _as_columns(self, episode: Episode) -> dict[str, Array]:
         """Return the steps of one episode: one more than it has transitions."""
-        views, n_obs, n_goal = (
-            np.stack(episode.obs),
-            self.sizes["obs"],
-            self.sizes["desired"],
-        )
-        obs, desired, achieved = np.split(views, [n_obs, n_obs + n_goal], axis=1)
-        terminal = np.zeros((len(views), 1), np.float32)
-        terminal[len(episode) - 1] = episode.terminated
+        ends = np.cumsum([self.sizes["obs"], self.sizes["desired"]])
+        views = np.split(np.stack(episode.obs), ends, axis=1)
         action = np.pad(np.stack(episode.actions), ((0, 1), (0, 0)))
-        return dict(
-            zip(self.sizes, (obs, achieved, desired, action, terminal), strict=True)
-        )
+        terminal = np.zeros((len(action), 1), np.float32)
+        terminal[len(episode) - 1] = episode.terminated
+        return dict(zip(COLUMNS, (*views, action, terminal), strict=True))
 
     def _put(self, slot: int, columns: dict[str, Array]) -> None:
         """Write the steps of an episode, by column, into a slot."""
@@ -147,9 +142,8 @@ class Replay:
             raise ValueError(
                 f"max_episode_steps: {self.max_steps}, but found {n_steps} steps"
             )
-        if (
-            not self._columns
-        ):  # zeros take memory page by page, when they are written to
+        if not self._columns:
+            # Zeros take memory page by page, when they are written to.
             shape = self.n_slots, self.max_steps + 1
             self._columns = {
                 name: np.zeros((*shape, size), np.float32)
@@ -219,11 +213,11 @@ class Replay:
             last = self._lengths[slots] - 1
             has_ended = columns["terminal"][slots, last, 0] == 1
             slots, last = slots[has_ended], last[has_ended]
-            at_end = (
+            ended = (
                 columns["achieved"][slots, last + 1],
                 columns["desired"][slots, last],
             )
-            lowest = np.min(self.reward(*at_end)) if len(slots) else np.inf
+            lowest = np.min(self.reward(*ended)) if len(slots) else np.inf
             others = reward[~is_relabelled & ~was_terminal]
             if not len(others) or lowest <= others.max():
                 return was_terminal
@@ -234,8 +228,6 @@ class Replay:
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
-        if not len(slots):
-            raise ValueError("the replay is empty: nothing to sample from")
         ends = np.cumsum(self._lengths[slots])
         pick = self.rng.integers(ends[-1], size=n)
         which = np.searchsorted(ends, pick, side="right")
