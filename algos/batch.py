@@ -255,9 +255,7 @@ class Worlds:
                 rewards=rewards[world, : lengths[world]].tolist(),
                 terminated=bool(terminated[world]),
                 success=float(success[world]),
-                faults=dict(
-                    zip(rollout.FAULTS, (int(diverged[world]), 0), strict=True)
-                ),
+                faults={"diverged": int(diverged[world]), "warnings": 0},
                 seed=seeds[world] or 0,
             )
             for world in rngs

@@ -303,9 +303,8 @@ class DDPGHER(Learner):
             )
         gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
         goals: Any = space["desired_goal"]  # type: ignore[index]
-        is_single = np.array_equal(
-            goals.low, goals.high
-        )  # then it is its own hindsight
+        # A single goal is its own hindsight.
+        is_single = np.array_equal(goals.low, goals.high)
         her = 0.0 if is_single else REPLAY_P
         replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
@@ -329,7 +328,7 @@ class DDPGHER(Learner):
             np.random.default_rng([seed, comm.rank, rollout.LEARN]),
             workers.compute_terminated if config.termination == "terminal" else None,
         )
-        self.action_l2 = config.action_l2
+        self.action_l2 = config.action_l2  # falls where it is annealed
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
         is_running = config.normalize_rewards  # else as in baselines: from -1 to 0

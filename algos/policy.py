@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -132,19 +132,11 @@ def input_stats(
     )
 
 
-class Inputs(Protocol):
-    """Turn observations into what a network is given."""
-
-    def read(self, obs: Any) -> Any:
-        """Return what is kept of one observation; a copy, as environments reuse buffers."""
-
-    def stack(self, views: Sequence[Any]) -> Tensor:
-        """Return the network's input (n, size) for n of these."""
-
-
 class Policy:
     """Act on observations; small, picklable, and the same wherever it is.
 
+    `inputs.read(obs)` is what is kept of one observation, a copy, as environments reuse buffers;
+    `inputs.stack(views)` the network's input (n, size) for n of these.
     It has no random state of its own: who asks for exploration brings a generator.
     `explore(rng)` begins the exploration of one episode.
     """
@@ -152,7 +144,7 @@ class Policy:
     def __init__(
         self,
         network: MLP,
-        inputs: Inputs,
+        inputs: Any,
         explore: Callable[[np.random.Generator], Noise],
         spaces: Spaces,
     ):

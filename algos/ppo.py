@@ -151,11 +151,9 @@ def normalize(advantages: Array) -> Array:
     """Return advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
     centred = advantages - advantages.mean()
     std = np.sqrt(np.square(centred).mean())
-    return (
-        centred / std
-        if std > 1e-10 * np.abs(advantages).max()
-        else np.zeros_like(centred)
-    )
+    if std <= 1e-10 * np.abs(advantages).max():
+        return np.zeros_like(centred)
+    return centred / std
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:
@@ -492,6 +490,7 @@ class PPO(Learner):
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
+        # Where the unit of rewards grows, the critic's values in the old one stay.
         self.critic.scale_outputs(self.rescale())
         inputs = FlatInputs(self.obs_stats.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
@@ -526,9 +525,8 @@ class PPO(Learner):
         # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
         lowest, highest = learned.min(), learned.max()
         for episode, each in zip(self.episodes, values, strict=True):
-            last_value = (
-                np.clip(each[-1], lowest, highest) if self._goes_on(episode) else 0.0
-            )
+            goes_on = self._goes_on(episode)
+            last_value = np.clip(each[-1], lowest, highest) if goes_on else 0.0
             rewards = np.array(episode.rewards) / self.rewards.unit
             advantages.append(
                 gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
@@ -566,14 +564,9 @@ class PPO(Learner):
             )
 
     def _goes_on(self, episode: Episode) -> bool:
-        """Return whether more would have followed an episode's last transition.
-
-        Nor is it an end where the physics diverged and cut the episode off.
-        """
-        is_bootstrapped = (
-            self.config.truncation == "bootstrap" and not episode.terminated
-        )
-        return bool(episode.faults["diverged"]) or is_bootstrapped
+        """Return whether more would have followed, as where the physics diverged."""
+        is_cut_off = self.config.truncation == "bootstrap" and not episode.terminated
+        return bool(episode.faults["diverged"]) or is_cut_off
 
     # -- the policy --------------------------------------------------------------------------
 
