@@ -23,7 +23,15 @@ from torch.nn.utils import parameters_to_vector
 from torch.nn.utils.rnn import pad_sequence
 
 from . import Array, DivergenceError, rollout
-from .ddpg_her import DDPGHER, Exploration, actor_loss, q_values, td_targets, tested
+from .ddpg_her import (
+    DDPGHER,
+    VIEW,
+    Exploration,
+    actor_loss,
+    q_values,
+    td_targets,
+    tested,
+)
 from .learner import restore
 from .networks import MLP, layer_shapes
 from .normalizer import Normalizer, Scaling
@@ -33,7 +41,6 @@ from .rollout import Episode, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
-NAMES = ("observation", "desired_goal", "achieved_goal")  # side by side
 LOSSES = ("critic_loss", "actor_loss", "mean_q")  # of DDPG
 Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
 Key = tuple[int, int, int, int]
@@ -256,7 +263,6 @@ class Worlds:
                 terminated=bool(terminated[world]),
                 success=float(success[world]),
                 faults={"diverged": int(diverged[world]), "warnings": 0},
-                seed=seeds[world] or 0,
             )
             for world in rngs
         }
@@ -267,7 +273,7 @@ class Worlds:
         return np.broadcast_to(flags.cpu().numpy(), self.env.num_envs)
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
-        return torch.cat([obs[key] for key in NAMES], dim=-1)
+        return torch.cat([obs[key] for key in VIEW], dim=-1)
 
 
 # -- learners --------------------------------------------------------------------------------
