@@ -28,9 +28,10 @@ from . import (
     Fraction,
     NotNegative,
     Positive32,
+    Workers,
     rollout,
 )
-from .learner import Learner, LearnerConfig, RewardScale, restore
+from .learner import Learner, LearnerConfig, RewardScale
 from .mpi import same_on_all_ranks
 from .networks import MLP, flushed_denormals, require_hidden
 from .normalizer import MIN_STD, Normalizer, Scaling
@@ -41,15 +42,20 @@ from .policy import (
     action_size,
     goal_size,
     input_stats,
-    n_boolean,
     new_actor,
     on_cpu,
-    require_layers,
 )
-from .replay import Batch, GoalObs, Replay
-from .rollout import PlayEpisode, largest_return, play_episodes, summary
+from .replay import Batch, Replay
+from .rollout import (
+    Episode,
+    PlayEpisode,
+    largest_return,
+    require_transitions,
+    summary,
+)
 
 CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
+VIEW = ("observation", "desired_goal", "achieved_goal")  # what is kept of them
 REPLAY_P = 0.8  # paper
 # A run warns where more values are cut at clip_obs, or as many columns have too small a spread.
 MAX_CUT, MAX_AT_FLOOR = 0.01, 0.5
@@ -147,8 +153,8 @@ def td_targets(
     rewards: Tensor,
     next_values: Tensor,
     terminal: Tensor,
-    gamma: float,
-    span: tuple[float, float] | None,
+    gamma: Any,
+    span: tuple[Any, Any] | None,
 ) -> Tensor:
     """Return the critic's targets (n,): r + gamma Q'(next), from arguments (n,).
 
@@ -159,6 +165,34 @@ def td_targets(
     return (
         values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
     )
+
+
+def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
+    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
+
+    DivergenceError when `rollout.MAX_FAILURES` more have none.
+    """
+    episodes: list[Episode] = []
+    while missing := n - sum(len(episode) > 0 for episode in episodes):
+        if len(episodes) >= n + rollout.MAX_FAILURES:
+            require_transitions(episodes[-rollout.MAX_FAILURES :])
+        episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
+    return episodes
+
+
+def q_values(critic: Any, obs: Tensor, actions: Tensor) -> Tensor:
+    """Return a critic's values (..., n) of actions (..., n, d)."""
+    values: Tensor = critic(torch.cat([obs, actions], dim=-1)).squeeze(-1)
+    return values
+
+
+def actor_loss(
+    actor: Any, critic: Any, obs: Tensor, action_l2: Any
+) -> tuple[Tensor, Tensor]:
+    """Return the actor's loss and the mean Q of its actions, (...), for inputs (..., n, size)."""
+    actions = actor(obs)
+    mean_q = q_values(critic, obs, actions).mean(dim=-1)
+    return action_l2 * actions.square().mean(dim=(-2, -1)) - mean_q, mean_q
 
 
 class Exploration:
@@ -187,11 +221,20 @@ class Exploration:
 
     def __call__(self, actions: Array) -> Array:
         """Return noisy copies of actions (n, d) in [-1, 1]; n is the same in every call."""
-        rng, hold = self.rng, self.random_hold
+        rng = self.rng
         noise = rng.standard_normal(actions.shape, dtype=np.float32)
         noisy = np.clip(actions + np.float32(self.noise_eps) * noise, -1.0, 1.0)
         chance = rng.random(actions.shape[:-1])[..., None]
         drawn = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
+        is_random, random = self.advance(chance, drawn)
+        return np.where(is_random, random, noisy)
+
+    def advance(self, chance: Array, drawn: Array) -> tuple[Array, Array]:
+        """Return where actions of the next step are random (n, 1), and these actions (n, d).
+
+        `chance` (n, 1) and `drawn` (n, d) are uniform in [0, 1) and [-1, 1).
+        """
+        hold = self.random_hold
         if self._is_random is None:  # as in any other step
             is_new, is_held = chance < self.random_eps, np.zeros(chance.shape, bool)
             self._random = drawn
@@ -201,7 +244,7 @@ class Exploration:
             is_held = self._is_random & (chance >= 1.0 / hold)
         self._random = np.where(is_new, drawn, self._random)
         self._is_random = is_new | is_held
-        return np.where(self._is_random, self._random, noisy)
+        return self._is_random, self._random
 
 
 @dataclass(frozen=True)
@@ -212,16 +255,17 @@ class GoalInputs:
     goal_scaling: Scaling
     limit: float
 
-    def read(self, obs: Any) -> GoalObs:
+    def read(self, obs: Any) -> Array:
+        """Return observation, desired and achieved goal side by side."""
         whole = {"achieved_goal": obs["desired_goal"], **obs}  # networks do not see it
-        return GoalObs(
-            *(np.array(whole[key], np.float32).ravel() for key in GoalObs._fields)
-        )
+        return np.concatenate([np.ravel(whole[key]) for key in VIEW], dtype=np.float32)
 
-    def stack(self, views: Sequence[GoalObs]) -> Tensor:
-        obs = np.stack([view.observation for view in views])
-        goals = np.stack([view.desired_goal for view in views])
-        return self(torch.from_numpy(obs), torch.from_numpy(goals))
+    def stack(self, views: Sequence[Array]) -> Tensor:
+        seen, n_goal = (
+            torch.from_numpy(np.stack(views)),
+            len(self.goal_scaling.mean_high),
+        )
+        return self(seen[:, : -2 * n_goal], seen[:, -2 * n_goal : -n_goal])
 
     def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
         """Return inputs (n, obs + goal) from observations (n, obs) and goals (n, goal)."""
@@ -259,37 +303,38 @@ class DDPGHER(Learner):
             )
         gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
         goals: Any = space["desired_goal"]  # type: ignore[index]
-        is_single = np.array_equal(
-            goals.low, goals.high
-        )  # then it is its own hindsight
+        # A single goal is its own hindsight.
+        is_single = np.array_equal(goals.low, goals.high)
         her = 0.0 if is_single else REPLAY_P
         replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
-        self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
+        parts = self.new_parts(config, self.spaces, comm, generator)
+        self.actor, self.obs_stats, self.goal_stats = parts.values()
+        self.actor.to(self.device)
         sizes = (self._n_obs + n_actions, *config.hidden, 1)
         self.critic = MLP(sizes, generator).to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
         self.critic_parameters = [*self.critic.parameters()]
-        self._broadcast(self.actor, self.critic)
+        for parameter in self.actor_parameters + self.critic_parameters:
+            self.comm.broadcast_(parameter)
         self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
-        self.obs_stats, self.goal_stats = _stats(config, self.spaces, comm)
         self.replay = Replay(
             config.buffer_size,
             steps,
             (self._n_obs - n_goal, n_goal, n_actions),
-            n_boolean(space),
             workers.compute_reward,
             np.random.default_rng([seed, comm.rank, rollout.LEARN]),
             workers.compute_terminated if config.termination == "terminal" else None,
         )
-        self._action_l2 = config.action_l2
+        self.action_l2 = config.action_l2  # falls where it is annealed
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
         is_running = config.normalize_rewards  # else as in baselines: from -1 to 0
         self.rewards = RewardScale(is_running, 0.0 if is_running else -1.0)
         self._largest_return = 0.0  # of the last episodes
+        self.new_slots = np.zeros(0, np.int64)  # where the replay has them
 
     def check(self) -> None:
         *_, episode = play_episodes(self.workers, self._player(rollout.PROBE), 1)
@@ -307,38 +352,45 @@ class DDPGHER(Learner):
 
     # -- acting and collecting ---------------------------------------------------------------
 
-    def policy(self) -> Policy:
-        config = self.config.acting(self.progress_remaining)
-        return _policy(config, self.spaces, self.actor, self.obs_stats, self.goal_stats)
-
-    def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
+    def _player(self, purpose: int) -> PlayEpisode:
         """Return what plays this rank's episodes, for one of the purposes in `rollout`."""
-        key = (self.seed, self.comm.rank, purpose, self.cycles)
         explores = purpose != rollout.TEST
-        return PlayEpisode[GoalObs](self.policy(), key, explores=explores)
+        return PlayEpisode(self.policy(), self.key(purpose), explores)
 
     def collect(self) -> dict[str, float]:
         """Play one cycle's episodes: into the replay, and relabelled into the normalizers."""
-        config, rank = self.config, self.comm.rank
-        key = [self.seed, rank, rollout.LEARN, self.cycles]
-        self.replay.rng = np.random.default_rng(key)  # whatever came before
-        remaining = self.progress_remaining
-        if config.anneal_lr:
-            self.anneal(self.actor_adam, self.critic_adam)
-        if config.anneal_action_l2:
-            self._action_l2 = remaining * config.action_l2
+        self.begin()
         player = self._player(rollout.TRAIN)
-        episodes = play_episodes(self.workers, player, config.n_rollouts)
+        episodes = play_episodes(self.workers, player, self.config.n_rollouts)
+        return self.keep(episodes)
+
+    def key(self, purpose: int) -> tuple[int, int, int, int]:
+        """Return the key of this cycle's episodes, for one of the purposes in `rollout`."""
+        return self.seed, self.comm.rank, purpose, self.cycles
+
+    def begin(self) -> None:
+        """Begin a cycle: set what falls over a run."""
+        self.replay.rng = np.random.default_rng(self.key(rollout.LEARN))
+        if self.config.anneal_lr:
+            self.anneal(self.actor_adam, self.critic_adam)
+        if self.config.anneal_action_l2:
+            self.action_l2 = self.progress_remaining * self.config.action_l2
+
+    def wants_more(self, episodes: list[Episode]) -> bool:
+        """Return whether a cycle has too few episodes with transitions."""
+        return sum(len(e) > 0 for e in episodes) < self.config.n_rollouts
+
+    def keep(self, episodes: list[Episode]) -> dict[str, float]:
+        """Take a cycle's episodes into the replay and the normalizers; return counts and means."""
         self.cycles += 1
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
-        usable = [episode for episode in episodes if len(episode)]
-        self._largest_return = max(
-            largest_return(episode.rewards, config.gamma) for episode in usable
-        )
-        slots = self.replay.store(usable)
-        batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
-        limit = config.clip_obs
+        usable, limit = require_transitions(episodes), self.config.clip_obs
+        gamma = self.config.gamma
+        self._largest_return = max(largest_return(e.rewards, gamma) for e in usable)
+        self.new_slots = self.replay.store(usable)
+        n = sum(map(len, usable))
+        batch = self.replay.sample(n, self.config.replay_p, self.new_slots)
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
         return stats
@@ -348,9 +400,7 @@ class DDPGHER(Learner):
         if not n:
             return {}
         episodes = [*self.workers.play(self._player(rollout.TEST), range(n))]
-        stats = summary(episodes, self.comm)
-        names = ("success_rate", "mean_return", *rollout.FAULTS)
-        return {f"test_{name}": stats[name] for name in names}
+        return tested(summary(episodes, self.comm))
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -359,7 +409,9 @@ class DDPGHER(Learner):
         config, n = self.config, self.config.n_batches
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
-        self._update_reward_scale(drawn.reward)
+        factor = self.rescale(drawn.reward)
+        for critic in (self.critic, self.target_critic):
+            critic.scale_outputs(factor)
         self._warn_of_units(drawn)
         batch = self._as_inputs(drawn)
         minibatches = zip(
@@ -376,7 +428,9 @@ class DDPGHER(Learner):
         critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
         self.require_finite(means, self.actor, self.critic)
         if self.updates % CHECK_EVERY < n:
-            self._require_same(*self.actor_parameters, *self.critic_parameters)
+            whole = parameters_to_vector(self.actor_parameters + self.critic_parameters)
+            if not same_on_all_ranks(self.comm, whole):
+                raise DivergenceError("the ranks' parameters differ")
         return {
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
@@ -436,8 +490,8 @@ class DDPGHER(Learner):
     def _critic_gradient(self, batch: Batch[Tensor]) -> Tensor:
         """Compute the gradient of the critic's squared error; return the loss, ()."""
         targets = self._targets(batch)
-        values = self.critic(torch.cat([batch.obs, batch.action], dim=1)).squeeze(-1)
-        loss = (values - targets).square().mean()
+        errors = q_values(self.critic, batch.obs, batch.action) - targets
+        loss = errors.square().mean()
         self.critic_adam.zero_grad()
         loss.backward(inputs=self.critic_parameters)
         return loss.detach()
@@ -447,9 +501,7 @@ class DDPGHER(Learner):
 
         Returns the actor's loss and the mean Q, (2,).
         """
-        actions = self.actor(inputs)
-        mean_q = self.critic(torch.cat([inputs, actions], dim=1)).mean()
-        loss = self._action_l2 * actions.square().mean() - mean_q
+        loss, mean_q = actor_loss(self.actor, self.critic, inputs, self.action_l2)
         self.actor_adam.zero_grad()
         loss.backward(inputs=self.actor_parameters)  # and not the critic's
         return torch.stack([loss, mean_q]).detach()
@@ -459,13 +511,13 @@ class DDPGHER(Learner):
         """Return the critic's targets (n,), from the target networks."""
         config, inputs = self.config, batch.next_obs
         next_actions = self.target_actor(inputs)
-        next_values = self.target_critic(torch.cat([inputs, next_actions], dim=1))
+        next_values = q_values(self.target_critic, inputs, next_actions)
         terminal = batch.terminal * (config.termination == "terminal")
         scale = self.rewards
         unit, low, high = scale.unit, scale.lowest, scale.highest
         span = (low / unit, high / unit) if config.clip_target else None
         return td_targets(
-            batch.reward / unit, next_values.squeeze(-1), terminal, config.gamma, span
+            batch.reward / unit, next_values, terminal, config.gamma, span
         )
 
     @torch.no_grad()
@@ -476,25 +528,18 @@ class DDPGHER(Learner):
             for old, new in zip(target.parameters(), network.parameters(), strict=True):
                 old.lerp_(new, 1.0 - self.config.polyak)
 
-    @torch.no_grad()
-    def _update_reward_scale(self, rewards: Array) -> None:
+    def rescale(self, rewards: Array) -> float:
         """Move the bounds of rewards to hold those that were drawn (n,), and the scale with them.
 
-        A relabelled reward may exceed all returns that were lived. When the scale grows, the critics'
-        last layers shrink, so that values in the environment's unit stay (van Hasselt et al. 2016).
+        A relabelled reward may exceed all returns that were lived. Returns the factor for the critics'
+        outputs, so that values in the environment's unit stay.
         """
         mine = rewards.min(), rewards.max(), self._largest_return
         lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)
         self.rewards.see(np.array([*lows, *highs]))
         of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
         extreme = max(-self.rewards.lowest, self.rewards.highest, *largest)
-        self.rewards.grow(float(extreme) / of_ones, self.critic, self.target_critic)
-
-    def _broadcast(self, *networks: nn.Module) -> None:
-        """Give all ranks the parameters of rank 0."""
-        for network in networks:
-            for parameter in network.parameters():
-                self.comm.broadcast_(parameter)
+        return self.rewards.grow(float(extreme) / of_ones)
 
     def _sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""
@@ -505,47 +550,38 @@ class DDPGHER(Learner):
         self.comm.sum_(vector)
         vector_to_parameters(vector, gradients)
 
-    def _require_same(self, *tensors: Tensor) -> None:
-        """Raise DivergenceError where the ranks have parted."""
-        if not all(same_on_all_ranks(self.comm, tensor) for tensor in tensors):
-            raise DivergenceError("the ranks' parameters differ")
-
-    # -- saving ------------------------------------------------------------------------------
+    # -- the policy --------------------------------------------------------------------------
 
     @staticmethod
-    def saved_policy(
-        config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]
-    ) -> Policy:
-        require_layers(config.hidden, spaces, saved["actor"])
-        actor = new_actor(config.hidden, spaces, torch.Generator())
-        obs_stats, goal_stats = _stats(config, spaces, Communicator())
-        parts = {"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}
-        restore(parts, saved)
-        return _policy(config, spaces, actor, obs_stats, goal_stats)
+    def new_parts(
+        config: DDPGHERConfig,
+        spaces: Spaces,
+        comm: Communicator,
+        generator: torch.Generator,
+    ) -> dict[str, Any]:
+        space: Any = spaces.observation
+        clip, scale = config.norm_clip, config.taxel_scale
+        return {
+            "actor": new_actor(config.hidden, spaces, generator),
+            "obs_stats": input_stats(space["observation"], comm, clip, True, scale),
+            "goal_stats": Normalizer(goal_size(space), comm, clip),
+        }
+
+    @staticmethod
+    def as_policy(config: DDPGHERConfig, spaces: Spaces, *parts: Any) -> Policy:
+        actor, *stats = parts
+        explore = partial(
+            Exploration,
+            noise_eps=config.noise_eps,
+            random_eps=config.random_eps,
+            random_hold=config.random_hold,
+        )
+        scalings = (each.scaling() for each in stats)
+        inputs = GoalInputs(*scalings, config.clip_obs)
+        return Policy(on_cpu(actor), inputs, explore, spaces)
 
 
-def _stats(
-    config: DDPGHERConfig, spaces: Spaces, comm: Communicator
-) -> tuple[Normalizer, Normalizer]:
-    """Return moments of observations and of goals, before anything was seen."""
-    space: Any = spaces.observation
-    clip, scale = config.norm_clip, config.taxel_scale
-    obs_stats = input_stats(space["observation"], comm, clip, True, scale)
-    return obs_stats, Normalizer(goal_size(space), comm, clip)
-
-
-def _policy(
-    config: DDPGHERConfig,
-    spaces: Spaces,
-    actor: MLP,
-    obs_stats: Normalizer,
-    goal_stats: Normalizer,
-) -> Policy:
-    explore = partial(
-        Exploration,
-        noise_eps=config.noise_eps,
-        random_eps=config.random_eps,
-        random_hold=config.random_hold,
-    )
-    inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
-    return Policy(on_cpu(actor), inputs, explore, spaces)
+def tested(stats: dict[str, float]) -> dict[str, float]:
+    """Return what the table keeps of test episodes."""
+    names = ("success_rate", "mean_return", *rollout.FAULTS)
+    return {f"test_{name}": stats[name] for name in names}

@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
 import torch
 from torch import nn
 
-from . import Array, Communicator, DivergenceError, Workers
-from .networks import MLP
-from .policy import Policy, Spaces, flat_size
+from . import Array, Communicator, Workers
+from .policy import Policy, Spaces, flat_size, require_layers
+from .rollout import finite
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -99,9 +100,23 @@ class Learner(ABC):
     def describe(self) -> str:
         """Return in words what the configuration amounts to."""
 
-    @abstractmethod
+    @staticmethod
+    def new_parts(
+        config: Any, spaces: Spaces, comm: Communicator, generator: torch.Generator
+    ) -> dict[str, Any]:
+        """Return what a policy is made of, named as `policy_parts`, before anything was learned."""
+        raise NotImplementedError
+
+    @staticmethod
+    def as_policy(config: Any, spaces: Spaces, *parts: Any) -> Policy:
+        """Return the policy that these parts make."""
+        raise NotImplementedError
+
     def policy(self) -> Policy:
         """Return what acts now; good until the next update."""
+        config = self.config.acting(self.progress_remaining)
+        parts = (getattr(self, name) for name in self.policy_parts)
+        return self.as_policy(config, self.spaces, *parts)
 
     @abstractmethod
     def collect(self) -> dict[str, float]:
@@ -115,13 +130,16 @@ class Learner(ABC):
         """Return how good it is without exploration at the end of an epoch; empty if not asked."""
         return {}
 
-    @staticmethod
-    @abstractmethod
-    def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+    @classmethod
+    def saved_policy(cls, config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         """Return the policy in what `state_dict` returned, on the CPU, without a learner around it.
 
         `config` are the learner's hyperparameters. ValueError when these do not go together.
         """
+        require_layers(config.hidden, spaces, saved["actor"])
+        parts = cls.new_parts(config, spaces, Communicator(), torch.Generator())
+        restore(parts, saved)
+        return cls.as_policy(config, spaces, *parts.values())
 
     @property
     def progress_remaining(self) -> float:
@@ -162,12 +180,10 @@ class Learner(ABC):
 
     def require_finite(self, losses: Sequence[float], *networks: nn.Module) -> None:
         """Raise DivergenceError rather than go on from losses or parameters that are not finite."""
-        tensors = [torch.tensor(losses), *(p for n in networks for p in n.parameters())]
-        if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
-            raise DivergenceError(
-                f"a loss or a parameter is not finite after {self.env_steps} steps "
-                f"(losses {[f'{x:.3g}' for x in losses]})"
-            )
+        what = f"a loss or a parameter after {self.env_steps} steps"
+        finite(np.array(losses), what)
+        for parameter in (p for network in networks for p in network.parameters()):
+            finite(parameter.detach().cpu().numpy(), what)
 
     def warn_once(self, topic: str, message: str) -> None:
         """Warn on one rank, once in the life of this learner."""
@@ -183,22 +199,25 @@ class Learner(ABC):
         return states | {name: getattr(self, name) for name in self.plain}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken.
-
-        Raises ValueError where it has other parts: files have checksums, so a state may only be
-        another learner's or version's.
-        """
-        if different := self.state_dict().keys() ^ state.keys():
-            raise ValueError(
-                f"state: {', '.join(sorted(different))}: missing, or unknown; finish a run with "
-                "its version"
-            )
+        """Go on exactly where `state_dict` was taken."""
         restore({name: getattr(self, name) for name in self.saved}, state)
         for name in self.plain:
             setattr(self, name, copy.deepcopy(state[name]))
 
 
-class RewardScale:
+class Counts:
+    """Save numbers and flags, which are all that a subclass has."""
+
+    def state_dict(self) -> dict[str, float]:
+        """Return them by name."""
+        return dict(vars(self))
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Put back what `state_dict` returned."""
+        vars(self).update(state)
+
+
+class RewardScale(Counts):
     """Follow the rewards of a run, and divide them by a running scale where asked.
 
     As the scale grows, the critics' last layers shrink, so that values in the environment's unit stay
@@ -220,20 +239,12 @@ class RewardScale:
         self.lowest = min(self.lowest, float(rewards.min()))
         self.highest = max(self.highest, float(rewards.max()))
 
-    def grow(self, scale: float, *critics: MLP) -> None:
-        """Raise a running scale to this, and the critics with it; a smaller one changes nothing."""
-        if self.is_running and scale > self.scale:
-            for critic in critics:
-                critic.scale_outputs(self.scale / scale or 1.0)
-            self.scale = scale
-
-    def state_dict(self) -> dict[str, float]:
-        """Return bounds and scale."""
-        return dict(vars(self))
-
-    def load_state_dict(self, state: dict[str, float]) -> None:
-        """Go on from what `state_dict` returned."""
-        vars(self).update(state)
+    def grow(self, scale: float) -> float:
+        """Raise a running scale to this, where it is larger; return the factor for critics' outputs."""
+        if not self.is_running or scale <= self.scale:
+            return 1.0
+        factor, self.scale = self.scale / scale or 1.0, scale
+        return factor
 
 
 def second_thread() -> ThreadPoolExecutor:
@@ -247,8 +258,6 @@ def second_thread() -> ThreadPoolExecutor:
 
 
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
-    """Put back parts, by name, of a learner's state; ValueError where one is missing."""
-    if missing := parts.keys() - state.keys():
-        raise ValueError(f"state: {', '.join(sorted(missing))}: missing")
+    """Put back parts, by name, of a learner's state."""
     for name, part in parts.items():
         part.load_state_dict(copy.deepcopy(state[name]))  # Adam would keep the tensors

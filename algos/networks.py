@@ -29,6 +29,12 @@ def require_hidden(hidden: Sequence[int]) -> None:
         )
 
 
+def layer_shapes(sizes: Sequence[int]) -> list[tuple[int, ...]]:
+    """Return the shapes of all weights and biases of a network with these sizes, the inputs first."""
+    pairs = itertools.pairwise(sizes)
+    return [shape for n, m in pairs for shape in ((m, n), (m,))]
+
+
 class MLP(nn.Sequential):
     """Stack linear layers with ReLU between them, and optionally Tanh at the end.
 

@@ -114,11 +114,10 @@ class Normalizer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Put back what `state_dict` returned; 0.4.0 saved no masks and had no block."""
-        if "block" in state:
-            self.as_is = state["as_is"].numpy().copy()
-            self.block = state["block"].numpy().copy()
+        """Put back what `state_dict` returned."""
+        self.as_is = state["as_is"].numpy().copy()
+        self.block = state["block"].numpy().copy()
         self.count = float(state["count"])
         self.mean = state["mean"].numpy().copy()
         self._squares = state["squares"].numpy().copy()
-        self._block_squares = float(state.get("block_squares", 0.0))
+        self._block_squares = float(state["block_squares"])

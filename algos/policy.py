@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import copy
-import itertools
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -16,13 +14,13 @@ import torch
 from torch import Tensor
 
 from . import Array, Communicator, UnfitError
-from .networks import MLP
+from .networks import MLP, layer_shapes
 from .normalizer import Normalizer, Scaling
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+SEEN = ("observation", "desired_goal")  # by a policy
 GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
-MAX_ENTRIES = 10**6  # of an observation or an action: more is a damaged file
 Noise = Callable[[Array], Array]
 """Make actions (n, d) in [-1, 1] noisy, perhaps beyond these bounds."""
 TaxelScale = Literal["none", "block", "each"]
@@ -37,66 +35,11 @@ class Spaces(NamedTuple):
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of a goal environment's observations by their names; of others, one, named ""."""
-        space = self.observation
-        if isinstance(space, gym.spaces.Dict):
-            return {
-                key: tuple(space[key].shape or ())
-                for key in GOAL_KEYS
-                if key in space.spaces
-            }
-        return {"": tuple(space.shape or ())}
-
-    def to_json(self) -> str:
-        """Return what a policy has to know: shapes of observations, bounds of actions."""
-        low, high = (np.ravel(bound) for bound in (self.action.low, self.action.high))  # type: ignore[attr-defined]
-        action = {"shape": self.action.shape, "dtype": str(self.action.dtype)}
-        action |= {"low": low.tolist(), "high": high.tolist()}
-        return json.dumps({"observation": self.shapes, "action": action})
-
-    @classmethod
-    def from_json(cls, text: str) -> Spaces:
-        """Return spaces of which `to_json` would say the same; observations have no bounds.
-
-        ValueError when this is not such a text.
-        """
-        try:
-            known = json.loads(text)
-            shapes, action = known["observation"], known["action"]
-            if set(shapes) != {""} and not set(shapes) <= {*GOAL_KEYS}:
-                raise ValueError(f"spaces: found {len(shapes)} parts, no {GOAL_DICT}")
-            boxes: dict[str, gym.Space[Any]] = {
-                key: _box(-np.inf, np.inf, shape, np.float32)
-                for key, shape in shapes.items()
-            }
-            if np.dtype(action["dtype"]).kind not in "fiub":
-                raise ValueError(
-                    f"spaces: found actions of type {action['dtype']!r}"[:100]
-                )
-            bounds = (
-                np.array(action[name], action["dtype"]) for name in ("low", "high")
-            )
-            low, high = (bound.reshape(action["shape"]) for bound in bounds)
-            space = boxes[""] if "" in boxes else gym.spaces.Dict(boxes)
-            return cls(
-                space, _box(low, high, action["shape"], np.dtype(action["dtype"]))
-            )
-        except (
-            LookupError,
-            AttributeError,
-            TypeError,
-            AssertionError,
-            RecursionError,
-        ) as error:
-            raise ValueError(f"spaces: found none ({error})") from error
-
-
-def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
-    if (
-        not all(isinstance(n, int) and n >= 0 for n in shape)
-        or math.prod(shape) > MAX_ENTRIES
-    ):
-        raise ValueError(f"spaces: found the shape {str(shape)[:50]}")
-    return gym.spaces.Box(low, high, tuple(shape), dtype)
+        parts: dict[str, Any] = {"": self.observation}
+        if isinstance(self.observation, gym.spaces.Dict):
+            spaces = self.observation.spaces
+            parts = {key: spaces[key] for key in GOAL_KEYS if key in spaces}
+        return {key: tuple(part.shape or ()) for key, part in parts.items()}
 
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
@@ -119,30 +62,24 @@ def action_size(space: gym.Space[Any]) -> int:
     return int(action_bounds(space)[0].size)
 
 
-def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
-    """Return the parts of a flat observation by name; ValueError for spaces no learner can read."""
-    parts: dict[str, Any] = {"observation": space}
-    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(
-        space.spaces
-    ):
-        parts = {key: space[key] for key in ("observation", "desired_goal")}
-    for part in parts.values():
-        if not isinstance(part, gym.spaces.Box):
-            hint = "; gymnasium.wrappers.FlattenObservation makes a Box"
+def flat_parts(space: gym.Space[Any]) -> list[gym.spaces.Box]:
+    """Return the parts of a flat observation in order; ValueError for spaces no learner can read."""
+    parts: list[Any] = [space]
+    if isinstance(space, gym.spaces.Dict) and set(SEEN) <= set(space.spaces):
+        parts = [space[key] for key in SEEN]
+    for part in parts:
+        is_box = isinstance(part, gym.spaces.Box)
+        if not is_box or (part.dtype == np.uint8 and len(part.shape) == 3):
             raise ValueError(
-                f"observation space: found {part}, allowed Box, or {GOAL_DICT}{hint}"
-            )
-        if part.dtype == np.uint8 and len(part.shape) == 3:
-            images = f"found images {part.shape}"
-            raise ValueError(
-                f"observation space: {images}, allowed vectors; no learner here sees"
+                f"observation space: found {part}, allowed Box (no images), or {GOAL_DICT}; "
+                "gymnasium.wrappers.FlattenObservation makes a Box"
             )
     return parts
 
 
 def flat_size(space: gym.Space[Any]) -> int:
     """Return the length of a flat observation; ValueError as `flat_parts` raises it."""
-    return sum(math.prod(part.shape) for part in flat_parts(space).values())
+    return sum(math.prod(part.shape) for part in flat_parts(space))
 
 
 def goal_size(space: gym.Space[Any]) -> int:
@@ -158,16 +95,8 @@ def goal_size(space: gym.Space[Any]) -> int:
 
 def may_be_boolean(space: gym.Space[Any]) -> Array:
     """Return a mask (n,) of the flat entries between 0 and 1, which may be Boolean taxels."""
-    parts = flat_parts(space).values()
-    return np.concatenate(
-        [np.ravel((part.low == 0.0) & (part.high == 1.0)) for part in parts]
-    )
-
-
-def n_boolean(space: Any) -> int:
-    """Return how many entries at the end of a goal environment's observation may be Boolean."""
-    within = may_be_boolean(space["observation"])
-    return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))
+    parts = flat_parts(space)
+    return np.concatenate([np.ravel((p.low == 0.0) & (p.high == 1.0)) for p in parts])
 
 
 @dataclass(frozen=True)
@@ -177,11 +106,8 @@ class FlatInputs:
     scaling: Scaling
 
     def read(self, obs: Any) -> Array:
-        if isinstance(obs, dict):
-            obs = np.concatenate(
-                [np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])]
-            )
-        return np.array(obs, np.float32).ravel()
+        parts = [obs[key] for key in SEEN] if isinstance(obs, dict) else [obs]
+        return np.concatenate([np.ravel(part) for part in parts], dtype=np.float32)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
         return self.scaling(torch.from_numpy(np.stack(views)))
@@ -206,19 +132,11 @@ def input_stats(
     )
 
 
-class Inputs(Protocol):
-    """Turn observations into what a network is given."""
-
-    def read(self, obs: Any) -> Any:
-        """Return what is kept of one observation; a copy, as environments reuse buffers."""
-
-    def stack(self, views: Sequence[Any]) -> Tensor:
-        """Return the network's input (n, size) for n of these."""
-
-
 class Policy:
     """Act on observations; small, picklable, and the same wherever it is.
 
+    `inputs.read(obs)` is what is kept of one observation, a copy, as environments reuse buffers;
+    `inputs.stack(views)` the network's input (n, size) for n of these.
     It has no random state of its own: who asks for exploration brings a generator.
     `explore(rng)` begins the exploration of one episode.
     """
@@ -226,7 +144,7 @@ class Policy:
     def __init__(
         self,
         network: MLP,
-        inputs: Inputs,
+        inputs: Any,
         explore: Callable[[np.random.Generator], Noise],
         spaces: Spaces,
     ):
@@ -253,19 +171,18 @@ class Policy:
                 f"rng: found {str(rng).lower()}, needed to explore: numpy.random.default_rng(seed)"
             )
         noise = self.explore(rng) if rng is not None and not deterministic else None
-        n = self._batch_size(obs)
-        for key in self.shapes:
-            values = np.asarray(obs[key] if key else obs)
-            if (
-                values.dtype.kind not in "bifu"
-                or not (np.abs(values) < FLOAT32_MAX).all()
-            ):
+        parts, n = self._parts(obs)
+        for values in parts.values():
+            is_real = values.dtype.kind in "bifu"
+            if not is_real or not (np.abs(values) < FLOAT32_MAX).all():
                 fault = f"not finite, not real or beyond float32 ({values.dtype})"
                 raise ValueError(f"obs: {fault}, allowed finite numbers")
         if n == 0:
             return self.to_env(np.empty((0, self._low.size), np.float32))
-        views = map(self.inputs.read, [obs] if n is None else _rows(obs, n))
-        actions = self._actions([*views], noise)
+        each = {k: v[None] if n is None else v for k, v in parts.items()}
+        rows = ({k: v[i] for k, v in each.items()} for i in range(n or 1))
+        views = [self.inputs.read(row.get("", row)) for row in rows]
+        actions = self._actions(views, noise)
         return self.to_env(actions[0] if n is None else actions)
 
     def predict(
@@ -288,18 +205,18 @@ class Policy:
         UnfitError where it is not of the shape that the environment's space says.
         """
         try:
-            is_one = self._batch_size(obs) is None
+            parts, n = self._parts(obs)
         except ValueError as error:
             raise UnfitError(
                 f"env: what it returns is not what its space says: {error}"
             ) from error
-        if not is_one:
+        if n is not None:
             raise UnfitError(
                 "env: found a batch of observations, allowed one of the space's shape"
             )
-        is_dict = isinstance(obs, Mapping)
-        for part in [obs[key] for key in GOAL_KEYS if key in obs] if is_dict else [obs]:
-            if (kind := np.asarray(part).dtype).kind not in "bifu":
+        for part in parts.values():
+            if part.dtype.kind not in "bifu":
+                kind = part.dtype
                 raise UnfitError(
                     f"env: found observations of type {kind}, allowed real numbers"
                 )
@@ -319,24 +236,20 @@ class Policy:
 
     def require_spaces(self, spaces: Spaces) -> None:
         """Raise ValueError unless observations and actions have the shapes that the policy knows."""
-        for name, offered, known in (
+        for name, offered, mine in (
             ("observations", _shown(_read(spaces.shapes)), _shown(self.shapes)),
             ("actions", str(spaces.action.shape), str(self._low.shape)),
         ):
-            if offered != known:
+            if offered != mine:
                 raise ValueError(
-                    f"env: found {name} of shape {offered}, the policy has {known}"
+                    f"env: found {name} of shape {offered}, the policy has {mine}"
                 )
-        bounds = action_bounds(spaces.action)
-        if not (
-            np.array_equal(bounds[0], self._low)
-            and np.array_equal(bounds[1], self._high)
-        ):
-            both = bounds, (self._low, self._high)
-            offered, known = (
-                f"from {low.min():g} to {high.max():g}" for low, high in both
+        bounds, known = action_bounds(spaces.action), (self._low, self._high)
+        if not np.array_equal(bounds, known):
+            found, own = (
+                f"from {a.min():g} to {b.max():g}" for a, b in (bounds, known)
             )
-            raise ValueError(f"env: found actions {offered}, the policy's are {known}")
+            raise ValueError(f"env: found actions {found}, the policy's are {own}")
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], noise: Noise | None) -> Array:
@@ -347,27 +260,29 @@ class Policy:
             )
         return actions if noise is None else noise(actions)
 
-    def _batch_size(self, obs: Any) -> int | None:
-        """Return the number of observations in a batch; None for one by itself."""
+    def _parts(self, obs: Any) -> tuple[dict[str, Array], int | None]:
+        """Return the parts of an observation that are seen, and how many are in a batch of them.
+
+        That is None for one observation by itself. ValueError where it is neither.
+        """
         if isinstance(obs, tuple):
             raise ValueError(
                 "obs: found a tuple; env.reset() returns (observation, info)"
             )
-        keys = set(obs) if isinstance(obs, Mapping) else {""}
-        if not keys >= set(self.shapes):
-            got = sorted(keys) if isinstance(obs, Mapping) else type(obs).__name__
-            expected = (
-                "an array" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
-            )
+        whole = obs if isinstance(obs, Mapping) else {"": obs}
+        if not whole.keys() >= self.shapes.keys():
+            got = sorted(obs) if isinstance(obs, Mapping) else type(obs).__name__
+            is_one = "" in self.shapes
+            expected = "an array" if is_one else f"a Dict with {list(self.shapes)}"
             raise ValueError(f"obs: found {got}, expected {expected}")
-        shapes = {key: np.shape(obs[key] if key else obs) for key in self.shapes}
+        parts = {key: np.asarray(whole[key]) for key in self.shapes}
+        shapes = {key: part.shape for key, part in parts.items()}
         if shapes == self.shapes:
-            return None
+            return parts, None
         sizes = {shape[:1] for shape in shapes.values()}
-        if {key: shape[1:] for key, shape in shapes.items()} == self.shapes and len(
-            sizes
-        ) == 1:
-            return sizes.pop()[0]
+        rest = {key: shape[1:] for key, shape in shapes.items()}
+        if rest == self.shapes and len(sizes) == 1:
+            return parts, sizes.pop()[0]
         raise ValueError(
             f"obs: found shape {_shown(shapes)}, expected {_shown(self.shapes)}, or a batch of such"
         )
@@ -382,15 +297,6 @@ def _shown(shapes: dict[str, tuple[int, ...]]) -> str:
     return str(shapes.get("", shapes))
 
 
-def _rows(obs: Any, n: int) -> list[Any]:
-    """Return each observation of a batch."""
-    is_dict = isinstance(obs, Mapping)
-    return [
-        {key: part[i] for key, part in obs.items()} if is_dict else obs[i]
-        for i in range(n)
-    ]
-
-
 def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
     """Return a policy's network with `hidden` units in its layers."""
     return MLP(network_sizes(hidden, spaces), generator, tanh=True)
@@ -403,11 +309,9 @@ def require_layers(
 
     So a small file, which is cheap to look at, cannot ask for a large network.
     """
-    sizes = itertools.pairwise(network_sizes(hidden, spaces))
-    wanted = [shape for n, m in sizes for shape in ((m, n), (m,))]
-    if [tuple(part.shape) for part in weights.values()] != wanted or not all(
-        part.is_contiguous() for part in weights.values()
-    ):
+    is_whole = all(part.is_contiguous() for part in weights.values())
+    shapes = [tuple(part.shape) for part in weights.values()]
+    if shapes != layer_shapes(network_sizes(hidden, spaces)) or not is_whole:
         raise ValueError(
             f"actor: found {len(weights)} weights and biases, which do not fit `hidden` and the spaces"
         )

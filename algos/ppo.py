@@ -10,19 +10,19 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
+from scipy.special import betaln
 from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
-from .learner import Learner, LearnerConfig, RewardScale, restore
+from .learner import Counts, Learner, LearnerConfig, RewardScale, restore
 from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
-from .normalizer import Normalizer
 from .policy import (
     FlatInputs,
     Noise,
@@ -33,7 +33,6 @@ from .policy import (
     input_stats,
     new_actor,
     on_cpu,
-    require_layers,
 )
 from .rollout import (
     Episode,
@@ -152,11 +151,9 @@ def normalize(advantages: Array) -> Array:
     """Return advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
     centred = advantages - advantages.mean()
     std = np.sqrt(np.square(centred).mean())
-    return (
-        centred / std
-        if std > 1e-10 * np.abs(advantages).max()
-        else np.zeros_like(centred)
-    )
+    if std <= 1e-10 * np.abs(advantages).max():
+        return np.zeros_like(centred)
+    return centred / std
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:
@@ -235,7 +232,7 @@ class ActorLoss(NamedTuple):
 Verdict = Literal["learn", "wait", "undo"]
 
 
-class Silence:
+class Silence(Counts):
     """Judge whether the last update is to blame that every episode fails alike.
 
     It counts episodes by their returns: those that failed, with the lowest return of an epoch in which
@@ -272,21 +269,11 @@ class Silence:
     def _judge_failures(self, n: int) -> Verdict:
         self.failed_since += n
         failed, others = self.failed + self.PRIOR, self.others + self.PRIOR
-        # Beta function of (failed + failed_since, others) over that of (failed, others).
-        log_p = math.lgamma(failed + self.failed_since) + math.lgamma(failed + others)
-        log_p -= math.lgamma(failed + self.failed_since + others) + math.lgamma(failed)
+        log_p = betaln(failed + self.failed_since, others) - betaln(failed, others)
         if not self.can_undo or log_p >= math.log(self.LEVEL):
             return "wait"
         self.failed_since, self.can_undo = 0, False  # these were the undone policy's
         return "undo"
-
-    def state_dict(self) -> dict[str, float]:
-        """Return what it has counted."""
-        return dict(vars(self))
-
-    def load_state_dict(self, state: dict[str, float]) -> None:
-        """Go on counting from what `state_dict` returned."""
-        vars(self).update(state)
 
 
 class Transitions(NamedTuple):
@@ -323,8 +310,8 @@ class PPO(Learner):
                 f"ranks: found {self.comm.size} with ppo, allowed 1; without mpirun, --workers plays "
                 "on many cores"
             )
-        parts = _policy_parts(config, self.spaces, generator)
-        self.actor, self.gaussian, self.obs_stats = parts
+        parts = self.new_parts(config, self.spaces, self.comm, generator)
+        self.actor, self.gaussian, self.obs_stats = parts.values()
         self.critic = MLP((self._n_obs, *config.hidden, 1), generator)
         if config.orthogonal_init:
             start_orthogonal(self.actor, ACTOR_GAIN, generator)
@@ -336,7 +323,7 @@ class PPO(Learner):
         self.actor_adam = self.adam([*self.actor.parameters()], config.actor_lr)
         self.std_adam = self.adam(stds, std_lr)
         self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
-        self.epochs, self._episodes = 0, list[Episode[Array]]()
+        self.epochs, self.episodes = 0, list[Episode]()
         self.silence = Silence()
         self.before_update: dict[str, Any] = {}  # states of `acting`
         self.rewards = RewardScale(config.normalize_rewards)
@@ -353,24 +340,33 @@ class PPO(Learner):
 
     # -- acting and collecting ---------------------------------------------------------------
 
-    def policy(self) -> Policy:
-        return _policy(
-            self.config, self.spaces, self.actor, self.gaussian, self.obs_stats
-        )
-
     def collect(self) -> dict[str, float]:
         """Play whole episodes until `steps_per_epoch` are there."""
-        if self.config.anneal_lr:
-            self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
-        key = (self.seed, 0, rollout.TRAIN, self.epochs)
-        job, episodes = PlayEpisode[Array](self.policy(), key), list[Episode[Array]]()
-        missing = self.config.steps_per_epoch
+        self.begin()
+        job = PlayEpisode(self.policy(), self.key(rollout.TRAIN))
+        episodes = list[Episode]()
         for episode in self.workers.play(job, itertools.count()):
             episodes.append(episode)
-            missing -= max(1, len(episode))  # so this ends where all diverge at once
-            if missing <= 0:
+            if not self.wants_more(episodes):
                 break
-        self._episodes = require_transitions(episodes)
+        return self.keep(episodes)
+
+    def key(self, purpose: int) -> tuple[int, int, int, int]:
+        """Return the key of this epoch's random numbers, for one of the purposes in `rollout`."""
+        return self.seed, 0, purpose, self.epochs
+
+    def begin(self) -> None:
+        """Begin an epoch: set what falls over a run."""
+        if self.config.anneal_lr:
+            self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
+
+    def wants_more(self, episodes: list[Episode]) -> bool:
+        """Return whether an epoch has too few steps; episodes without one count as one."""
+        return sum(max(1, len(e)) for e in episodes) < self.config.steps_per_epoch
+
+    def keep(self, episodes: list[Episode]) -> dict[str, float]:
+        """Keep the epoch's episodes to learn from; return counts and means."""
+        self.episodes = require_transitions(episodes)
         self.epochs += 1
         stats = summary(episodes)
         self.env_steps += int(stats.pop("steps"))
@@ -385,29 +381,24 @@ class PPO(Learner):
         where there are two cores. In a silent epoch, only the critic is updated.
         """
         config, batch = self.config, self._batch()
-        n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
-        verdict = self._look_at_returns() if config.undo_silent else "learn"
-        is_silent = verdict != "learn"
-        rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])
+        verdict = self.judge()
+        self._keep_or_undo(verdict)
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
-            for _ in range(config.n_passes):
-                order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
-                minibatches = order.tensor_split(n_minibatches)
-                for_actor = () if is_silent else minibatches
+            for minibatches in self.shuffled(len(batch.obs)):
+                for_actor = minibatches if verdict == "learn" else ()
                 of_actor, of_critic = self.in_two_threads(
                     partial(self._update_actor, batch, for_actor),
                     partial(self._update_critic, batch, minibatches),
                 )
                 actor_losses += of_actor
                 value_losses += of_critic
-                if config.target_kl is None or is_silent:
+                if config.target_kl is None or not of_actor:
                     continue
                 if of_actor[-1].kl.item() > config.target_kl:
                     break
-        losses = ActorLoss(*(torch.zeros(1),) * 3)
-        if actor_losses:
-            losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
+        actor_losses = actor_losses or [ActorLoss(*torch.zeros(3))]  # in a silent epoch
+        losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
         learned = {
             "policy_loss": losses.policy_loss.mean().item(),
             "value_loss": torch.stack(value_losses).mean().item(),
@@ -415,13 +406,35 @@ class PPO(Learner):
             "clip_fraction": losses.clip_fraction.mean().item(),
         }
         self.require_finite([*learned.values()], self.actor, self.gaussian, self.critic)
-        self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
-        return learned | {
-            "explained_variance": explained_variance(batch.values, batch.returns),
+        explained = explained_variance(batch.values, batch.returns)
+        return learned | self.after_update(explained, verdict, len(value_losses))
+
+    def judge(self) -> Verdict:
+        """Return what the epoch's returns say of the last update."""
+        # Returns of episodes that the physics cut off say nothing.
+        whole = [e for e in self.episodes if not e.faults["diverged"]]
+        if not (self.config.undo_silent and whole):
+            return "learn"
+        return self.silence.judge([sum(e.rewards) for e in whole])
+
+    def shuffled(self, n: int) -> Iterator[Sequence[Tensor]]:
+        """Yield each pass over a batch of `n` transitions: the rows of each of its minibatches."""
+        rng = np.random.default_rng(self.key(rollout.LEARN))
+        for _ in range(self.config.n_passes):
+            order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
+            yield order.tensor_split(self.config.minibatches(n))
+
+    def after_update(
+        self, explained: float, verdict: Verdict, n_updates: int
+    ) -> dict[str, float]:
+        """Take the epoch's observations into the moments; return what there is to say beside losses."""
+        self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self.episodes]))
+        return {
+            "explained_variance": explained,
             "entropy": self.gaussian.entropy(),
             "action_std": float(self.gaussian.std().mean()),
             "undone": int(verdict == "undo"),
-            "updates": len(value_losses),
+            "updates": n_updates,
         }
 
     def _update_actor(
@@ -429,9 +442,7 @@ class PPO(Learner):
     ) -> list[ActorLoss]:
         """Take an Adam step on the clipped objective of each minibatch, given as rows of the batch."""
         losses = []
-        parameters = [*self.actor.parameters()]
-        if self.config.exploration == "learned":
-            parameters += self.gaussian.parameters()
+        parameters = [*self.actor.parameters(), *self.gaussian.parameters()]
         for rows in minibatches:
             log_prob = self.gaussian.log_prob(
                 batch.actions[rows], self.actor(batch.obs[rows])
@@ -467,56 +478,61 @@ class PPO(Learner):
             losses.append(loss.detach())
         return losses
 
-    def _look_at_returns(self) -> Verdict:
-        """Return what the epoch's returns say of the last update, and take it back if they do."""
-        # Returns of episodes that the physics cut off say nothing.
-        whole = [e for e in self._episodes if not e.faults["diverged"]]
-        verdict = (
-            self.silence.judge([sum(e.rewards) for e in whole]) if whole else "learn"
-        )
+    def _keep_or_undo(self, verdict: Verdict) -> None:
+        """Keep the actor before an update that may have to be undone, or go back to the one kept."""
         acting = {name: getattr(self, name) for name in self.acting}
-        if verdict == "learn" and self.silence.can_undo:
+        if verdict == "undo":
+            restore(acting, self.before_update)
+        elif verdict == "learn" and self.silence.can_undo:
             states = {name: part.state_dict() for name, part in acting.items()}
             self.before_update = copy.deepcopy(states)
-        elif verdict == "undo":
-            restore(acting, self.before_update)
-        return verdict
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
-        config, episodes = self.config, self._episodes
-        largest = max(largest_return(e.rewards, config.gamma) for e in episodes)
-        self.rewards.grow(largest, self.critic)
+        # Where the unit of rewards grows, the critic's values in the old one stay.
+        self.critic.scale_outputs(self.rescale())
         inputs = FlatInputs(self.obs_stats.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
-        obs = [inputs.stack(episode.obs).to(self.device) for episode in episodes]
+        obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
         values = [self.critic(seen).squeeze(-1).cpu().double().numpy() for seen in obs]
+        acted_on = torch.cat([seen[:-1] for seen in obs])
+        taken = np.concatenate([np.stack(e.actions) for e in self.episodes])
+        actions, advantages, returns, predicted = (
+            torch.from_numpy(column.astype(np.float32)).to(self.device)
+            for column in (taken, *self.targets(values))
+        )
+        # Of the actor that played; where it is then undone, this epoch does not update it.
+        log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
+        return Transitions(acted_on, actions, log_prob, advantages, returns, predicted)
+
+    def rescale(self) -> float:
+        """Raise the scale of rewards to the largest return; return the factor for critics."""
+        gamma = self.config.gamma
+        return self.rewards.grow(
+            max(largest_return(e.rewards, gamma) for e in self.episodes)
+        )
+
+    def targets(self, values: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """Return normalized advantages, returns and values (n,) of the epoch's transitions.
+
+        `values` are the critic's of each episode's observations, (length + 1,).
+        """
+        config, advantages = self.config, list[Array]()
         learned = np.concatenate([each[:-1] for each in values])
         self._warn_of_divergence(learned * self.rewards.unit)
         # No value of a last observation is ever learned. Where it is like no other, as with time in
         # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
         lowest, highest = learned.min(), learned.max()
-        advantages = []
-        for episode, each in zip(episodes, values, strict=True):
-            last_value = (
-                np.clip(each[-1], lowest, highest) if self._goes_on(episode) else 0.0
-            )
+        for episode, each in zip(self.episodes, values, strict=True):
+            goes_on = self._goes_on(episode)
+            last_value = np.clip(each[-1], lowest, highest) if goes_on else 0.0
             rewards = np.array(episode.rewards) / self.rewards.unit
             advantages.append(
                 gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
             )
         advantage = np.concatenate(advantages)
-        returns = finite(advantage + learned, "a return")
-        taken = np.concatenate([np.stack(episode.actions) for episode in episodes])
-        actions, normalized, target, predicted = (
-            torch.from_numpy(column.astype(np.float32)).to(self.device)
-            for column in (taken, normalize(advantage), returns, learned)
-        )
-        acted_on = torch.cat([seen[:-1] for seen in obs])
-        # Of the actor that played; where it is then undone, this epoch does not update it.
-        log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
-        return Transitions(acted_on, actions, log_prob, normalized, target, predicted)
+        return normalize(advantage), finite(advantage + learned, "a return"), learned
 
     def _warn_of_divergence(self, values: Array) -> None:
         """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
@@ -524,20 +540,17 @@ class PPO(Learner):
         Where more would have followed an episode, it could have been the largest reward forever. New
         critics are off by what their weights give them, and nothing is known before the first reward.
         """
-        gamma, reach = self.config.gamma, float(np.abs(values).max())
-        self.first_values = self.first_values or reach / self.rewards.unit
-        for episode in self._episodes:
-            self.rewards.see(np.array(episode.rewards))
-        for episode in self._episodes:
-            for extreme in (self.rewards.lowest, self.rewards.highest):
-                rest = 0.0
-                if extreme and self._goes_on(episode):
-                    rest = (
-                        extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
-                    )
-                returns = discounted([*episode.rewards, rest], gamma)
-                self.lowest_return = min(self.lowest_return, *returns)
-                self.highest_return = max(self.highest_return, *returns)
+        gamma, unit = self.config.gamma, self.rewards.unit
+        self.first_values = self.first_values or float(np.abs(values).max()) / unit
+        self.rewards.see(np.concatenate([e.rewards for e in self.episodes]))
+        bounds = self.rewards.lowest, self.rewards.highest
+        for episode, extreme in itertools.product(self.episodes, bounds):
+            rest = 0.0
+            if extreme and self._goes_on(episode):
+                rest = extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
+            returns = discounted([*episode.rewards, rest], gamma)
+            self.lowest_return = min(self.lowest_return, *returns)
+            self.highest_return = max(self.highest_return, *returns)
         low, high = self.lowest_return, self.highest_return
         margin = high - low + MAX_GROWTH * self.first_values * self.rewards.unit
         if (
@@ -550,50 +563,28 @@ class PPO(Learner):
                 f"returns of the episodes seen lie between {low:.3g} and {high:.3g}: it has diverged",
             )
 
-    def _goes_on(self, episode: Episode[Array]) -> bool:
-        """Return whether more would have followed an episode's last transition.
+    def _goes_on(self, episode: Episode) -> bool:
+        """Return whether more would have followed, as where the physics diverged."""
+        is_cut_off = self.config.truncation == "bootstrap" and not episode.terminated
+        return bool(episode.faults["diverged"]) or is_cut_off
 
-        Nor is it an end where the physics diverged and cut the episode off.
-        """
-        is_bootstrapped = (
-            self.config.truncation == "bootstrap" and not episode.terminated
-        )
-        return bool(episode.faults["diverged"]) or is_bootstrapped
-
-    # -- saving ------------------------------------------------------------------------------
+    # -- the policy --------------------------------------------------------------------------
 
     @staticmethod
-    def saved_policy(
-        config: PPOConfig, spaces: Spaces, saved: dict[str, Any]
-    ) -> Policy:
-        require_layers(config.hidden, spaces, saved["actor"])
-        parts = _policy_parts(config, spaces, torch.Generator())
-        restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
-        return _policy(config, spaces, *parts)
+    def new_parts(
+        config: PPOConfig,
+        spaces: Spaces,
+        comm: Communicator,
+        generator: torch.Generator,
+    ) -> dict[str, Any]:
+        actor = new_actor(config.hidden, spaces, generator)
+        gaussian = Gaussian(action_size(spaces.action), config.action_variance)
+        scales = OBS_CLIP, config.normalize_obs, config.taxel_scale
+        stats = input_stats(spaces.observation, comm, *scales)
+        return {"actor": actor, "gaussian": gaussian, "obs_stats": stats}
 
-
-def _policy_parts(
-    config: PPOConfig, spaces: Spaces, generator: torch.Generator
-) -> tuple[MLP, Gaussian, Normalizer]:
-    """Return what a policy is made of, before anything was learned."""
-    actor = new_actor(config.hidden, spaces, generator)
-    gaussian = Gaussian(action_size(spaces.action), config.action_variance)
-    stats = input_stats(
-        spaces.observation,
-        Communicator(),
-        OBS_CLIP,
-        config.normalize_obs,
-        config.taxel_scale,
-    )
-    return actor, gaussian, stats
-
-
-def _policy(
-    config: PPOConfig,
-    spaces: Spaces,
-    actor: MLP,
-    gaussian: Gaussian,
-    stats: Normalizer,
-) -> Policy:
-    explore = partial(gaussian_noise, std=gaussian.std())
-    return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)
+    @staticmethod
+    def as_policy(config: PPOConfig, spaces: Spaces, *parts: Any) -> Policy:
+        actor, gaussian, stats = parts
+        explore = partial(gaussian_noise, std=gaussian.std())
+        return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)

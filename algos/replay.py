@@ -15,14 +15,7 @@ from .rollout import Episode
 Reward = Callable[[Array, Array], Array]
 Ends = Callable[[Array, Array], Array | None]
 Values = TypeVar("Values")
-
-
-class GoalObs(NamedTuple):
-    """Hold what a goal environment returns, as flat float32 copies."""
-
-    observation: Array
-    achieved_goal: Array
-    desired_goal: Array
+COLUMNS = ("obs", "desired", "achieved", "action", "terminal")
 
 
 class Batch(NamedTuple, Generic[Values]):
@@ -39,12 +32,21 @@ class Batch(NamedTuple, Generic[Values]):
     """1 where this transition ends the episode, with its goal, else 0, (n,)."""
 
 
+class Relabelled(NamedTuple, Generic[Values]):
+    """Say which transitions were drawn, one a row, and what HER makes of them."""
+
+    slot: Values
+    step: Values
+    goal: Values
+    reward: Values
+    terminal: Values
+
+
 class Replay:
     """Keep episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
-    A slot has room for `max_steps` transitions and the last observation. The last `n_boolean`
-    entries of an observation are kept as bytes as long as all of them are 0 or 1, everything else
-    as float32. Memory is taken when the first episode is stored, and filled as episodes come.
+    A slot has room for `max_steps` transitions and the last observation. Memory is taken when the
+    first episode is stored, and filled as episodes come.
     """
 
     def __init__(
@@ -52,7 +54,6 @@ class Replay:
         capacity: int,
         max_steps: int,
         sizes: tuple[int, int, int],
-        n_boolean: int,
         reward: Reward,
         rng: np.random.Generator,
         ends: Ends | None = None,
@@ -68,13 +69,13 @@ class Replay:
                 f"buffer_size: found {capacity}, allowed {max_steps} (one episode) or more"
             )
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
-        self.sizes, self.n_boolean = sizes, n_boolean
-        self._n_float = sizes[0] - n_boolean
+        n_obs, n_goal, n_actions = sizes
+        widths = n_obs, n_goal, n_goal, n_actions, 1
+        self.sizes = dict(zip(COLUMNS, widths, strict=True))
         self.reward, self.rng, self.ends = reward, rng, ends
         self.n_episodes = 0
-        self._rows = max_steps + 1
-        self._columns: dict[str, Array] = {}
-        self._lengths = np.zeros(0, np.int64)
+        self._columns: dict[str, Array] = {}  # (slot, step, size)
+        self._lengths = np.zeros(self.n_slots, np.int64)
         # Slots, in the order in which they were filled.
         self._unsaved: dict[int, None] = {}
 
@@ -85,10 +86,7 @@ class Replay:
     @property
     def nbytes(self) -> int:
         """Memory when full, in bytes."""
-        return sum(
-            int(np.prod(shape)) * dtype().itemsize
-            for shape, dtype in self._shapes().values()
-        )
+        return self.n_slots * (self.max_steps + 1) * sum(self.sizes.values()) * 4
 
     def require_memory(self, n_buffers: int = 1) -> None:
         """Raise ValueError when there is not as much memory as `n_buffers` like this one take."""
@@ -100,132 +98,99 @@ class Replay:
                 "that are free here"
             )
 
-    def require_rewards(self, episode: Episode[GoalObs]) -> None:
+    def require_rewards(self, episode: Episode) -> None:
         """Raise ValueError when an episode's rewards do not follow from its goals.
 
         Those of relabelled transitions do.
         """
-        lived = np.array(episode.rewards)
-        _, achieved, desired = (
-            np.stack(part[1:]) for part in zip(*episode.obs, strict=True)
-        )
-        again = self.reward(achieved, desired)
+        lived, columns = np.array(episode.rewards), self._as_columns(episode)
+        again = self.reward(columns["achieved"][1:], columns["desired"][1:])
         if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
             raise ValueError(
                 f"compute_reward: found {_short(again)} for an episode's goals, allowed what its steps "
                 f"gave: an array with a reward for each row of goals, here {_short(lived)}"
             )
 
-    def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
-        """Return shape and type of every column; a row is one step of one slot."""
-        _, n_goal, n_action = self.sizes
-        rows = self.n_slots * self._rows
-        return {
-            "obs": ((rows, self._n_float), np.float32),
-            "boolean": ((rows, self.n_boolean), np.uint8),
-            "achieved": ((rows, n_goal), np.float32),
-            "desired": ((rows, n_goal), np.float32),
-            "action": ((rows, n_action), np.float32),
-            "terminal": ((rows, 1), np.uint8),
-        }
-
     # -- storing -----------------------------------------------------------------------------
 
-    def store(self, episodes: Sequence[Episode[GoalObs]]) -> Array:
+    def store(self, episodes: Sequence[Episode]) -> Array:
         """Keep episodes; each takes the next free slot, or a random one when all are full.
 
         Returns the slots (n,), each once.
         """
-        slots: dict[int, None] = {}
+        slots = list[int]()
         for episode in episodes:
             is_full = self.n_episodes == self.n_slots
             slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-            self.put(slot, self._as_columns(episode))
-            slots[slot] = None
-        return np.array([*slots], np.int64)
+            self._put(slot, self._as_columns(episode))
+            slots.append(slot)
+        return np.array([*dict.fromkeys(slots)], np.int64)
 
-    def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
-        """Return the rows of one episode: one more than it has transitions."""
-        obs, achieved, desired = (
-            np.stack(part) for part in zip(*episode.obs, strict=True)
-        )
-        n_steps = len(episode)
+    def _as_columns(self, episode: Episode) -> dict[str, Array]:
+        """Return the steps of one episode: one more than it has transitions."""
+        ends = np.cumsum([self.sizes["obs"], self.sizes["desired"]])
+        views = np.split(np.stack(episode.obs), ends, axis=1)
+        action = np.pad(np.stack(episode.actions), ((0, 1), (0, 0)))
+        terminal = np.zeros((len(action), 1), np.float32)
+        terminal[len(episode) - 1] = episode.terminated
+        return dict(zip(COLUMNS, (*views, action, terminal), strict=True))
+
+    def _put(self, slot: int, columns: dict[str, Array]) -> None:
+        """Write the steps of an episode, by column, into a slot."""
+        n_steps = len(columns["obs"]) - 1
         if n_steps > self.max_steps:
             raise ValueError(
                 f"max_episode_steps: {self.max_steps}, but found {n_steps} steps"
             )
-        return {
-            "obs": obs,
-            "achieved": achieved,
-            "desired": desired,
-            "action": np.pad(np.stack(episode.actions), ((0, 1), (0, 0))),
-            "terminal": np.pad([[episode.terminated]], ((n_steps - 1, 1), (0, 0))),
-        }
-
-    def put(self, slot: int, columns: dict[str, Array]) -> None:
-        """Write the rows of an episode, by column, into a slot."""
-        if (
-            not self._columns
-        ):  # zeros are given out page by page, when they are written to
+        if not self._columns:
+            # Zeros take memory page by page, when they are written to.
+            shape = self.n_slots, self.max_steps + 1
             self._columns = {
-                k: np.zeros(shape, dtype)
-                for k, (shape, dtype) in self._shapes().items()
+                name: np.zeros((*shape, size), np.float32)
+                for name, size in self.sizes.items()
             }
-            self._lengths = np.zeros(self.n_slots, np.int64)
-        first, n_rows = slot * self._rows, len(columns["obs"])
-        obs = columns["obs"]
-        last = obs[:, self._n_float :]
-        columns = {**columns, "obs": obs[:, : self._n_float], "boolean": last}
-        if not ((last == 0) | (last == 1)).all():  # as under a wrapper's noise
-            self._columns["boolean"] = self._columns["boolean"].astype(np.float32)
         for name, values in columns.items():
-            self._columns[name][first : first + n_rows] = values
-        self._lengths[slot] = n_rows - 1
+            self._columns[name][slot, : n_steps + 1] = values
+        self._lengths[slot] = n_steps
         self.n_episodes = max(self.n_episodes, slot + 1)
         self._unsaved[slot] = None
 
-    def episode(self, slot: int) -> dict[str, Array]:
-        """Return the rows of the episode in a slot, by column, as `put` takes them."""
-        rows = slice(
-            slot * self._rows, slot * self._rows + int(self._lengths[slot]) + 1
-        )
-        columns = {name: values[rows] for name, values in self._columns.items()}
-        boolean = columns.pop("boolean")
-        columns["obs"] = np.concatenate([columns["obs"], boolean], axis=1)
-        return columns
+    def episode(self, slot: int) -> tuple[Array, Array]:
+        """Return observations (length + 1, obs) and actions (length + 1, action) in a slot."""
+        n = self._lengths[slot] + 1
+        return self._columns["obs"][slot, :n], self._columns["action"][slot, :n]
 
     # -- sampling ----------------------------------------------------------------------------
 
     def sample(
         self, n: int, replay_p: float, slots: Array | None = None
     ) -> Batch[Array]:
-        """Return `n` relabelled transitions, uniform over all that are stored or are in `slots`.
+        """Return `n` transitions, relabelled as `relabel` does it."""
+        slot, t, goal, reward, terminal = self.relabel(n, replay_p, slots)
+        obs, action = self._columns["obs"], self._columns["action"]
+        return Batch(
+            obs[slot, t], goal, action[slot, t], reward, obs[slot, t + 1], terminal
+        )
+
+    def relabel(
+        self, n: int, replay_p: float, slots: Array | None = None
+    ) -> Relabelled[Array]:
+        """Draw `n` transitions, uniform over all or over those in `slots`, and give some new goals.
 
         HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that
         was achieved at a step uniform in t + 1 ... length (OpenAI baselines, her_sampler.py: t + 1 +
         floor(U (T - t))).
         """
         slot, t = self._pick(np.arange(self.n_episodes) if slots is None else slots, n)
-        is_relabelled = self.rng.random(n) < replay_p
-        future = (
-            t + 1 + (self.rng.random(n) * (self._lengths[slot] - t)).astype(np.int64)
-        )
-        first = slot * self._rows
-        row = first + t
-        goal = self._columns["desired"][row]
-        goal[is_relabelled] = self._columns["achieved"][(first + future)[is_relabelled]]
-        achieved = self._columns["achieved"][row + 1]
-        reward = np.asarray(self.reward(achieved, goal), np.float32)
-        terminal = self._columns["terminal"][row, 0].astype(bool)
-        terminal = self._terminal(achieved, goal, reward, terminal, is_relabelled)
-        return Batch(
-            obs=self._observations(row),
-            goal=goal,
-            action=self._columns["action"][row],
-            reward=reward,
-            next_obs=self._observations(row + 1),
-            terminal=terminal.astype(np.float32),
-        )
+        is_new = self.rng.random(n) < replay_p
+        ahead = (self.rng.random(n) * (self._lengths[slot] - t)).astype(np.int64)
+        achieved, goal = self._columns["achieved"], self._columns["desired"][slot, t]
+        goal[is_new] = achieved[slot[is_new], (t + 1 + ahead)[is_new]]
+        following = achieved[slot, t + 1]
+        reward = np.asarray(self.reward(following, goal), np.float32)
+        was_terminal = self._columns["terminal"][slot, t, 0] == 1
+        terminal = self._terminal(following, goal, reward, was_terminal, is_new)
+        return Relabelled(slot, t, goal, reward, terminal.astype(np.float32))
 
     def _terminal(
         self,
@@ -244,13 +209,15 @@ class Replay:
             return was_terminal
         ends = self.ends(achieved[is_relabelled], goal[is_relabelled])
         if ends is None:
-            slots = np.arange(self.n_episodes)
-            rows = slots * self._rows + self._lengths[slots] - 1
-            rows = rows[self._columns["terminal"][rows, 0] == 1]
-            at_end = self._columns["achieved"][rows + 1], self._columns["desired"][rows]
-            lowest = (
-                np.min(self.reward(*at_end), initial=np.inf) if len(rows) else np.inf
+            slots, columns = np.arange(self.n_episodes), self._columns
+            last = self._lengths[slots] - 1
+            has_ended = columns["terminal"][slots, last, 0] == 1
+            slots, last = slots[has_ended], last[has_ended]
+            ended = (
+                columns["achieved"][slots, last + 1],
+                columns["desired"][slots, last],
             )
+            lowest = np.min(self.reward(*ended)) if len(slots) else np.inf
             others = reward[~is_relabelled & ~was_terminal]
             if not len(others) or lowest <= others.max():
                 return was_terminal
@@ -261,17 +228,11 @@ class Replay:
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
-        if not len(slots):
-            raise ValueError("the replay is empty: nothing to sample from")
         ends = np.cumsum(self._lengths[slots])
         pick = self.rng.integers(ends[-1], size=n)
         which = np.searchsorted(ends, pick, side="right")
         slot = slots[which]
         return slot, pick - (ends[which] - self._lengths[slot])
-
-    def _observations(self, rows: Array) -> Array:
-        parts = self._columns["obs"][rows], self._columns["boolean"][rows]
-        return np.concatenate(parts, axis=1, dtype=np.float32)
 
     # -- saving ------------------------------------------------------------------------------
 
@@ -281,36 +242,26 @@ class Replay:
         All of it is a view, good until the next episode is stored: a copy would take the memory
         of the replay once more.
         """
-        slots = (
-            np.arange(self.n_episodes)
-            if everything
-            else np.array([*self._unsaved], np.int64)
-        )
+        slots = [*range(self.n_episodes)] if everything else [*self._unsaved]
         self._unsaved = {}
-        if not len(slots):
+        if not slots:
             return {}
-        rows: slice | Array = slice(len(slots) * self._rows)
-        if not everything:
-            rows = (slots[:, None] * self._rows + np.arange(self._rows)).ravel()
-        columns = {
-            name: torch.from_numpy(values[rows])
-            for name, values in self._columns.items()
-        }
-        lengths = torch.from_numpy(self._lengths[slots])
-        return {"slots": torch.from_numpy(slots), "lengths": lengths, **columns}
+        rows = slice(self.n_episodes) if everything else slots
+        parts = {name: values[rows] for name, values in self._columns.items()}
+        parts |= {"slots": np.array(slots, np.int64), "lengths": self._lengths[slots]}
+        return {name: torch.from_numpy(values) for name, values in parts.items()}
 
     def add_experience(self, saved: dict[str, Any]) -> None:
         """Put back what `new_experience` returned, in the same slots."""
         parts = {name: values.numpy() for name, values in saved.items()}
         slots, lengths = parts.pop("slots"), parts.pop("lengths")
+        if "boolean" in parts:  # 0.5.0 kept them apart
+            parts["obs"] = np.concatenate([parts["obs"], parts.pop("boolean")], axis=1)
+        for name, size in self.sizes.items():
+            parts[name] = parts[name].reshape(len(slots), self.max_steps + 1, size)
         for i, slot in enumerate(slots):
-            rows = slice(i * self._rows, i * self._rows + int(lengths[i]) + 1)
-            columns = {name: values[rows] for name, values in parts.items()}
-            columns["obs"] = np.concatenate(
-                [columns["obs"], columns.pop("boolean")], axis=1
-            )
-            self.put(int(slot), columns)
-            del self._unsaved[int(slot)]  # it is saved
+            self._put(slot, {name: parts[name][i, : lengths[i] + 1] for name in parts})
+        self._unsaved = {}  # it is saved
 
 
 def _short(rewards: Array) -> str:

@@ -9,15 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from . import Array, Communicator, DivergenceError, UnfitError, Workers
+from . import Array, Communicator, DivergenceError, UnfitError
 from .policy import FLOAT32_MAX, Policy
 
-Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
 # Steps of an episode that is thought to have an end.
 MAX_LENGTH = 20_000
@@ -28,13 +27,13 @@ TRAIN, TEST, EVALUATE, PROBE, LEARN = 1, 2, 3, 4, 5
 
 
 @dataclass
-class Episode(Generic[Obs]):
-    """Hold one episode as it was lived; the observations include the last.
+class Episode:
+    """Hold one episode as it was lived; the observations, as a policy reads them, include the last.
 
     A step that diverged is void: its observation, action and reward are not here.
     """
 
-    obs: list[Obs] = field(default_factory=list)
+    obs: list[Any] = field(default_factory=list)
     actions: list[Array] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
@@ -50,20 +49,15 @@ class Episode(Generic[Obs]):
 
     def add(self, policy: Policy, obs: Any) -> None:
         """Keep the next observation; DivergenceError where it is not finite."""
-        self.obs.append(finite(policy.read(obs), "an observation"))
+        self.obs.append(finite(policy.read(obs), "an observation of the environment"))
 
     def __len__(self) -> int:
         """Return the number of transitions."""
         return len(self.rewards)
 
 
-def start_seed(key: Sequence[int], number: int) -> int:
-    """Return the seed of the reset with which `PlayEpisode` begins the episode of a number."""
-    return int(np.random.default_rng([*key, number]).integers(2**31))
-
-
 @dataclass(frozen=True)
-class PlayEpisode(Generic[Obs]):
+class PlayEpisode:
     """Play the episode of a number: its start and its noise follow from `key` and the number."""
 
     policy: Policy
@@ -73,7 +67,7 @@ class PlayEpisode(Generic[Obs]):
 
     def __call__(
         self, env: gym.Env[Any, Any], number: int, is_wanted: Callable[[], bool]
-    ) -> Episode[Obs]:
+    ) -> Episode:
         """Return the episode, cut short when it is not wanted any more.
 
         One that cannot begin, because the reset raises a FloatingPointError, has no step and counts
@@ -84,7 +78,7 @@ class PlayEpisode(Generic[Obs]):
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = policy.explore(rng) if self.explores else None
-        episode = Episode[Obs](seed=int(rng.integers(2**31)))
+        episode = Episode(seed=int(rng.integers(2**31)))
         try:
             start = env.reset(seed=episode.seed)
         except FloatingPointError as error:
@@ -106,7 +100,7 @@ class PlayEpisode(Generic[Obs]):
 
 
 def _step(
-    env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]
+    env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode
 ) -> bool:
     """Take one step and add it to the episode; return whether that has ended."""
     names = "obs", "reward", "terminated", "truncated", "info"
@@ -118,69 +112,46 @@ def _step(
         )
     episode.info = info
     for fault in FAULTS:
-        count = finite(
-            _number(info.get(fault, 0), f"{fault} in info"), f"{fault} in info"
-        )
-        episode.faults[fault] += int(count)
+        episode.faults[fault] += int(_number(info.get(fault, 0), f"{fault} in info"))
     success = info.get("is_success", info.get("success"))
-    episode.success = (
-        math.nan if success is None else _flag(success, "is_success in info")
-    )
+    episode.success = math.nan
+    if success is not None:
+        episode.success = _flag(success, "is_success in info")
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
     episode.add(policy, obs)
     episode.actions.append(action)
-    episode.rewards.append(finite(_number(reward, "reward"), "a reward"))
+    episode.rewards.append(_number(reward, "reward"))
     episode.terminated = bool(_flag(terminated, "terminated"))
     return bool(_flag(truncated, "truncated")) or episode.terminated
 
 
 def _returned(values: Any, method: str, *names: str) -> Any:
     """Return what a method of an environment returned; UnfitError where it is no such tuple."""
-    if not isinstance(values, tuple) or len(values) != len(names):
-        found = (
-            f"{len(values)} values"
-            if isinstance(values, tuple)
-            else type(values).__name__
-        )
-        raise UnfitError(
-            f"env: found {found} from {method}, allowed ({', '.join(names)})"
-        )
-    return values
+    if isinstance(values, tuple) and len(values) == len(names):
+        return values
+    is_tuple = isinstance(values, tuple)
+    found = f"{len(values)} values" if is_tuple else type(values).__name__
+    raise UnfitError(f"env: found {found} from {method}, allowed ({', '.join(names)})")
 
 
 def _flag(value: Any, what: str) -> float:
     """Return what an environment returned as 0 or 1; UnfitError where it is neither."""
-    if (number := _number(value, what)) not in (0.0, 1.0):
-        raise UnfitError(f"env: found the {what} {number:g}, allowed 0 or 1")
-    return number
-
-
-def _number(value: Any, what: str) -> float:
-    """Return what an environment returned as a float; UnfitError where it is no number."""
-    if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
-        raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
+    if np.ndim(value) or value not in (0, 1):
+        raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed 0 or 1")
     return float(value)
 
 
-def play_episodes(
-    workers: Workers, job: PlayEpisode[Obs], n: int
-) -> list[Episode[Obs]]:
-    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
-
-    DivergenceError when `MAX_FAILURES` more have none.
-    """
-    episodes: list[Episode[Obs]] = []
-    while missing := n - sum(len(episode) > 0 for episode in episodes):
-        if len(episodes) >= n + MAX_FAILURES:
-            require_transitions(episodes[-MAX_FAILURES:])
-        episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
-    return episodes
+def _number(value: Any, what: str) -> float:
+    """Return what an environment returned as a finite float; UnfitError where it is no number."""
+    if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
+        raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
+    return float(finite(value, f"the {what} of the environment"))
 
 
 def summary(
-    episodes: list[Episode[Any]], comm: Communicator | None = None
+    episodes: list[Episode], comm: Communicator | None = None
 ) -> dict[str, float]:
     """Return counts and means over episodes, those that diverged included.
 
@@ -188,13 +159,11 @@ def summary(
     those that could not begin; NaN where there are none. With `comm`, all is over the episodes of
     all ranks, each of which has some.
     """
-    rows = []
-    for episode in episodes:
-        is_known = not math.isnan(episode.success)
-        success = episode.success if is_known else 0.0
-        faults = [episode.faults[fault] for fault in FAULTS]
-        rows.append([len(episode), 1, is_known, success, sum(episode.rewards), *faults])
-    sums = (comm or Communicator()).sum(np.array(rows, np.float64).sum(axis=0))
+    known = [e.success for e in episodes if not math.isnan(e.success)]
+    counts = [sum(map(len, episodes)), len(episodes), len(known), sum(known)]
+    counts += [sum(sum(e.rewards) for e in episodes)]
+    counts += [sum(e.faults[fault] for e in episodes) for fault in FAULTS]
+    sums = (comm or Communicator()).sum(np.array(counts, np.float64))
     steps, n, n_known, successes, returns, *faults = sums.tolist()
     return {
         "steps": steps,
@@ -220,7 +189,7 @@ def largest_return(rewards: Sequence[float], gamma: float) -> float:
     return max([0.0, *map(abs, discounted(rewards, gamma))])
 
 
-def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
+def require_transitions(episodes: list[Episode]) -> list[Episode]:
     """Return the episodes that have transitions; DivergenceError when there is none."""
     usable = [episode for episode in episodes if len(episode)]
     if not usable:
@@ -233,19 +202,9 @@ def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
 
 
 def finite(values: Any, what: str) -> Any:
-    """Return `values`, an array or a tuple of arrays, if all are finite in float32.
-
-    DivergenceError where they are not.
-    """
-    parts = values if isinstance(values, tuple) else (values,)
-    if not all((np.abs(part) <= FLOAT32_MAX).all() for part in parts):
-        flat = np.concatenate([np.ravel(part) for part in parts])
-        which = (
-            f" (entry {np.argmin(np.abs(flat) <= FLOAT32_MAX)})"
-            if flat.size > 1
-            else ""
-        )
-        raise DivergenceError(
-            f"{what} of the environment is not finite, or beyond float32{which}"
-        )
+    """Return `values` if all are finite in float32; DivergenceError where they are not."""
+    is_finite = np.abs(values) <= FLOAT32_MAX
+    if not is_finite.all():
+        which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
+        raise DivergenceError(f"{what} is not finite, or beyond float32{which}")
     return values

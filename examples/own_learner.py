@@ -87,7 +87,7 @@ class CEM(Learner):
         for weights in self.candidates[self.comm.rank :: self.comm.size]:
             actor = copy.deepcopy(self.actor)
             vector_to_parameters(weights, actor.parameters())
-            job = PlayEpisode[Any](greedy(self.spaces, actor), key)
+            job = PlayEpisode(greedy(self.spaces, actor), key)
             mine.append([*self.workers.play(job, range(config.n_episodes))])
         parts, size = self.comm.all_gather(mine), self.comm.size
         played = [parts[i % size][i // size] for i in range(config.population)]
@@ -114,7 +114,7 @@ class CEM(Learner):
         return greedy(spaces, actor)
 
 
-def value(episodes: list[rollout.Episode[Any]]) -> float:
+def value(episodes: list[rollout.Episode]) -> float:
     """Return what a candidate reached: its mean return, or the worst where the physics failed."""
     if any(episode.faults["diverged"] for episode in episodes):
         return -np.inf

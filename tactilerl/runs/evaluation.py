@@ -66,12 +66,12 @@ class OthersPolicy:
         return values
 
 
-def task(policy: Any, stochastic: bool = False) -> PlayEpisode[Any]:
+def task(policy: Any, stochastic: bool = False) -> PlayEpisode:
     """Return what plays episode 0, 1, 2, ... of an evaluation: the same starts for every policy."""
     return PlayEpisode(policy, (SEED, 0, EVALUATE, 0), explores=stochastic)
 
 
-def row(episode: Episode[Any]) -> dict[str, Any]:
+def row(episode: Episode) -> dict[str, Any]:
     """Return an episode's seed, success at its end, steps held, return, length and faults.
 
     Success is nan where the environment has none; an episode that diverged has no success. `held` is

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import algos
 from ..algos.learner import progress_remaining
-from ..algos.policy import Policy, Spaces
+from ..algos.policy import Policy
 from ..envs import validation
 from ..files import damage_named, require_path
+from . import spaces as saved_spaces
 from .config import RunConfig
 from .store import RunDir, read_tensors, write_tensors
 
@@ -57,7 +58,7 @@ def load_policy(path: str | Path) -> Policy:
         config_type, learner_type = algos.get(data["algo"])
         config = validation.fill(config_type, json.loads(data["learner"]), "learner")
         config.validate()
-        spaces = Spaces.from_json(data["spaces"])
+        spaces = saved_spaces.from_json(data["spaces"])
         policy: Policy = learner_type.saved_policy(config, spaces, data["state"])
         return policy
 
@@ -85,7 +86,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
         "policy_format": FORMAT,
         "algo": algo,
         "learner": json.dumps(dataclasses.asdict(acting)),
-        "spaces": learner.spaces.to_json(),
+        "spaces": saved_spaces.to_json(learner.spaces),
         "state": {name: state[name] for name in learner.policy_parts},
     }
     write_tensors(path, content)
@@ -100,7 +101,7 @@ def read_run(path: Path) -> Trained:
     saved = run_dir.read_config()
     data, file = run_dir.read_checkpoint(saved), run_dir.checkpoint_file
     with damage_named(file):
-        spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
+        spaces, state = saved_spaces.from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
         acting = saved.learner.acting(remaining)
         learner_type = algos.get(saved.run.algo)[1]

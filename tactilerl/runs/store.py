@@ -44,6 +44,7 @@ from ..files import (
     replacing,
     writable,
 )
+from . import spaces
 from .config import (
     HAND_COPY,
     LAYOUT_COPY,
@@ -387,7 +388,7 @@ class Checkpoint:
         if self.comm.rank == 0:
             content = {**self._about, "epoch": epoch, "ranks": states}
             content["experience"] = self._epochs
-            content["spaces"] = self.learner.spaces.to_json()
+            content["spaces"] = spaces.to_json(self.learner.spaces)
             write_tensors(self.run_dir.checkpoint_file, content)
             for path in self._files():  # rewritten, or of epochs that were lost
                 if int(path.stem.partition("-")[0]) not in self._epochs:

@@ -30,7 +30,6 @@ from gymnasium.vector import AutoresetMode
 
 from .. import algos, machine
 from ..algos import batch as learners
-from ..algos import rollout
 from ..algos.mpi import Communicator
 from ..algos.policy import flat_size
 from ..envs import layouts, tasks
@@ -406,9 +405,8 @@ class _Training:
             self._success[i] = parts[-1]["success_rate"]
             row = {"epoch": self.epochs[i], "env_steps": one.env_steps}
             row |= training.merged(parts, [part["episodes"] for part in parts])
-            row |= training.merged(learned[i], [1] * len(parts)) | (
-                tests[i] if tests else {}
-            )
+            row |= training.merged(learned[i], [1] * len(parts))
+            row |= tests.get(i, {})
             # A run's share of the batch's time, so that the sum over runs is what was spent.
             times = {"collect_s": collect_s, "update_s": update_s}
             row |= {k: round(v / len(before), 4) for k, v in times.items()}
@@ -419,15 +417,11 @@ class _Training:
     def final_test(self) -> None:
         """Test the runs that have ended, as `training` does with one; their last rows have waited."""
         if n := self._n_test_episodes:
-            first = evaluation.task(None).key
-
-            def seed(_: int, number: int) -> int:
-                return rollout.start_seed(first, number)
-
-            asked = [self._waits(i) for i in range(len(self.rows))]
-            tests = self.learner.play_best(asked, seed, n)
-            for i in np.flatnonzero(asked):
-                self.rows[i][-1][FINAL_TEST] = tests[i]["success_rate"]
+            waiting = [i for i in range(len(self.rows)) if self._waits(i)]
+            key = evaluation.task(None).key
+            tests = self.learner.play_best(dict.fromkeys(waiting, key), n)
+            for i, test in tests.items():
+                self.rows[i][-1][FINAL_TEST] = test["success_rate"]
 
     def _waits(self, i: int) -> bool:
         """Return whether a run has ended and is still to be tested."""

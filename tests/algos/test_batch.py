@@ -8,7 +8,7 @@ import pytest
 import torch
 from gymnasium.vector.utils import batch_space
 from tactilerl import algos
-from tactilerl.algos import batch, rollout
+from tactilerl.algos import batch
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.recipes import recipe
 from tactilerl.envs import vector
@@ -44,7 +44,7 @@ class Point(PointReachEnv):
 class PointBatch(gym.vector.VectorEnv):
     """Points side by side, `worlds` a run; steps of some are not over at once."""
 
-    device = torch.device("cpu")
+    device, max_episode_steps = torch.device("cpu"), Point.max_episode_steps
 
     def __init__(self, seen, worlds):
         self.points = [Point(n) for n in seen for _ in range(worlds)]
@@ -90,93 +90,10 @@ class PointBatch(gym.vector.VectorEnv):
         return {key: torch.from_numpy(np.stack(values)) for key, values in rows.items()}
 
 
-class OwnDraws(batch.Draws):
-    """The random numbers that single learners draw."""
-
-    def __init__(self, seeds):
-        self.seeds, self.streams = seeds, {}
-
-    def stream(self, *key, skip=False):
-        if key not in self.streams:
-            self.streams[key] = np.random.default_rng([*key])
-            if skip:
-                self.streams[key].integers(2**31)  # the episode's start
-        return self.streams[key]
-
-    def __call__(self, purpose, *counters, width):
-        shape = torch.broadcast_shapes(*(c.shape for c in counters if not isinstance(c, int)))
-        flat = [torch.as_tensor(c).expand(shape) for c in counters]
-        out = torch.full((*shape, width), 0.5, dtype=torch.float64)
-        for i, seed in enumerate(self.seeds):
-            if purpose == batch.ORDER:
-                epoch, n = int(flat[0][i]), int(self.n[i])
-                out[i, :n] = torch.from_numpy(self.stream(seed, 0, rollout.LEARN, epoch).random(n))
-            elif purpose == batch.PICK:
-                cycle, n = int(flat[0][i][0]), int(flat[1][i][0])
-                rng, total = self.stream(seed, 0, rollout.LEARN, cycle), int(self.totals(i, flat[2]))
-                picks = (rng.integers(total, size=n) + 0.5) / total
-                drawn = np.stack([picks, rng.random(n), rng.random(n)], axis=1)
-                out[i, :n] = torch.from_numpy(drawn)
-            else:
-                for w in range(shape[1]):
-                    if not self.moving[i, w]:
-                        continue
-                    key = seed, 0, purpose, *(int(c[i, w]) for c in flat[:2])
-                    rng = self.stream(*key, skip=True)
-                    d = width if self.of_ppo else width // 2
-                    normal = torch.from_numpy(rng.standard_normal((1, d), dtype=np.float32))
-                    out[i, w, :d] = torch.special.ndtr(normal.double())[0]
-                    if not self.of_ppo:
-                        out[i, w, d] = float(rng.random((1,))[0])
-                        out[i, w, d + 1 :] = torch.from_numpy(rng.random((1, d)))[0]
-        return out
-
-
 def single(algo, config, seed, n_seen, total=400):
     _, kind = algos.get(algo)
     workers = vector.start(lambda: Point(n_seen))
     return kind(config, workers, Communicator(), seed, total)
-
-
-def stacked(learners, seen, worlds):
-    """A batch with the same random numbers as single learners."""
-    seeds = [one.seed for one in learners]
-    draws = OwnDraws(seeds)
-    kind = batch.BATCHED[type(learners[0])]
-    many = kind(learners, PointBatch(seen, worlds), draws)
-    draws.of_ppo = kind is batch.BatchPPO
-    original = many.worlds._wave
-
-    def wave(act, *rest):
-        def acting(obs, numbers, steps, moving):
-            draws.moving = moving
-            return act(obs, numbers, steps, moving)
-
-        return original(acting, *rest)
-
-    many.worlds._wave = wave
-    if draws.of_ppo:
-        prepare = many._batch
-
-        def prepared():
-            rows, parts, lengths = prepare()
-            draws.n = lengths
-            return rows, parts, lengths
-
-        many._batch = prepared
-    else:
-        sample = many._sample
-
-        def sampled(n, width, slots, number):
-            lengths = many.lengths
-            if slots is not None:
-                e = torch.arange(len(lengths))[:, None]
-                lengths = torch.where(slots >= 0, lengths[e, slots.clamp(min=0)], 0)
-            draws.totals = lambda i, _: lengths[i].sum()
-            return sample(n, width, slots, number)
-
-        many._sample = sampled
-    return many
 
 
 PPO_CONFIG = replace(
@@ -223,19 +140,23 @@ def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worl
     seen, configs = (0, 2, 1), [replace(config, actor_lr=rate) for rate in rates]
     make = [(algo, one, seed, n) for one, seed, n in zip(configs, (5, 6, 7), seen, strict=True)]
     alone, learners = ([single(*args) for args in make] for _ in range(2))
-    many = stacked(learners, seen, worlds)
+    many = batch.BATCHED[type(learners[0])](learners, PointBatch(seen, worlds))
     for _ in range(5):
         expected = [rows_of(one) for one in alone]
         collected, updated = many.collect(), many.update()
-        for want, got, learned in zip(expected, collected, updated, strict=True):
-            assert want.keys() == {**got, **learned}.keys()
-            assert {**got, **learned} == pytest.approx(want, rel=tolerance, abs=tolerance, nan_ok=True)
+        for i, want in enumerate(expected):
+            got = {**collected[i], **updated[i]}
+            assert want.keys() == got.keys()
+            assert got == pytest.approx(want, rel=tolerance, abs=tolerance, nan_ok=True)
     assert not many.failures
     if algo == "ddpg_her":
-        for want, got in zip((one.test() for one in alone), many.test([True] * 3), strict=True):
+        for want, got in zip(
+            (one.test() for one in alone), many.test([True] * 3).values(), strict=True
+        ):
             assert got == pytest.approx(want, rel=1e-3)
     for i, one in enumerate(alone):
-        _same(one.state_dict(), many.write(i).state_dict(), tolerance)
+        many.write(i)
+        _same(one.state_dict(), learners[i].state_dict(), tolerance)
 
 
 def _same(want, got, tolerance, where=""):
@@ -252,17 +173,3 @@ def _same(want, got, tolerance, where=""):
         )
     elif isinstance(want, float) and "lr" not in where:
         assert got == pytest.approx(want, rel=tolerance), where
-
-
-def test_draws_are_uniform_and_follow_from_seed_and_counters_alone():
-    draws, counters = batch.Draws(torch.tensor([1, 2])), torch.arange(5).expand(2, 5)
-    drawn = draws(3, counters, 7, width=4000)
-    assert torch.equal(
-        drawn[1:, 2:], batch.Draws(torch.tensor([2]))(3, counters[:1, 2:], 7, width=4000)
-    )
-    assert float((drawn.mean(dim=2) - 0.5).abs().max()) < 0.02
-    assert float((drawn.std(dim=2) - 12**-0.5).abs().max()) < 0.01
-    flat = drawn.flatten(0, 1)
-    assert float((torch.corrcoef(flat) - torch.eye(10)).abs().max()) < 0.06
-    normal = batch._normal(drawn)
-    assert float((normal.pow(4).mean() - 3).abs()) < 0.2

@@ -201,7 +201,9 @@ class TestUnitOfRewards:
         inputs, before = torch.ones(5, 9), learner.rewards.scale
         critics = learner.critic, learner.target_critic
         said = [before * critic(inputs) for critic in critics]
-        learner._update_reward_scale(np.float32([100.0]))
+        factor = learner.rescale(np.float32([100.0]))
+        for critic in critics:
+            critic.scale_outputs(factor)
         assert learner.rewards.scale > 2 * before
         for critic, values in zip(critics, said, strict=True):
             torch.testing.assert_close(learner.rewards.scale * critic(inputs), values)

@@ -24,6 +24,7 @@ from tactilerl.algos.ppo import (
     surrogate,
 )
 from tactilerl.envs import vector
+from tactilerl.runs.spaces import from_json, to_json
 
 from states import flat
 from states import vector as parameters
@@ -135,7 +136,7 @@ class TestBatch:
 
         ppo = make_ppo(scripted(obs=obs), steps_per_epoch=5)
         ppo.collect()
-        assert [o[0] for o in ppo._episodes[0].obs] == [0, 1, 2, 3, 4, 5]
+        assert [o[0] for o in ppo.episodes[0].obs] == [0, 1, 2, 3, 4, 5]
 
     def test_truncation_switch(self):
         for truncation, terminated, goes_on in (
@@ -144,8 +145,8 @@ class TestBatch:
             workers = scripted(length=3, terminated=terminated, reward=lambda rng: 1.0)
             ppo = make_ppo(workers, truncation=truncation)
             ppo.collect()
-            expected, learned = [], values_of(ppo, [o for e in ppo._episodes for o in e.obs[:-1]])
-            for episode in ppo._episodes:
+            expected, learned = [], values_of(ppo, [o for e in ppo.episodes for o in e.obs[:-1]])
+            for episode in ppo.episodes:
                 values = values_of(ppo, episode.obs)
                 last = goes_on * values[-1].clip(learned.min(), learned.max())
                 advantages = gae(np.ones(3), values[:-1], last, 0.99, 0.97)
@@ -166,7 +167,7 @@ class TestBatch:
         ppo = trained(make_ppo(scripted(length=7), normalize_rewards=True), 1)
         obs, scale = torch.ones(4, 3), ppo.rewards.scale
         values = scale * ppo.critic(obs)
-        ppo._episodes[0].rewards[-1] = -10.0 * scale
+        ppo.episodes[0].rewards[-1] = -10.0 * scale
         ppo._batch()
         assert ppo.rewards.scale >= 9.0 * scale
         torch.testing.assert_close(ppo.rewards.scale * ppo.critic(obs), values)
@@ -263,7 +264,7 @@ class TestLearning:
         low, high = {"none": (1.0, 1.0), "block": (4.5, 5.0), "each": (4.9, 5.0)}[scale]
         assert low <= fired <= high
         assert silent == 0.0 or scale == "each"
-        again = PPO.saved_policy(ppo.config, Spaces.from_json(ppo.spaces.to_json()), ppo.state_dict())
+        again = PPO.saved_policy(ppo.config, from_json(to_json(ppo.spaces)), ppo.state_dict())
         rare = np.array([7.0, 7.0, 1.0], np.float32)
         assert np.array_equal(again.act(rare), ppo.policy().act(rare))
 
@@ -273,8 +274,8 @@ class TestLearning:
         ppo.collect()
         obs, actions, old, *_ = ppo._batch()
         std = torch.from_numpy(ppo.gaussian.std())
-        noise = ((actions - ppo.actor(obs)) / std)[: len(ppo._episodes[0])].detach()
-        episode = ppo._episodes[0]
+        noise = ((actions - ppo.actor(obs)) / std)[: len(ppo.episodes[0])].detach()
+        episode = ppo.episodes[0]
         means = [ppo.policy().choose(view) for view in episode.obs[:-1]]
         residual = (np.stack(episode.actions) - np.stack(means)) / ppo.gaussian.std()
         np.testing.assert_allclose(noise, residual, atol=1e-5)
@@ -391,7 +392,7 @@ class TestUndo:
         ppo.update()
         env.threshold = 2.0
         ppo.collect()
-        cut_off = ppo._episodes[0]
+        cut_off = ppo.episodes[0]
         cut_off.faults["diverged"], cut_off.rewards = 1, [0.5]
         assert ppo.update()["undone"] == 1
         assert self.parts(ppo) == before
@@ -509,7 +510,7 @@ class TestHardCases:
         )
         ppo = make_ppo(workers, truncation=truncation)
         ppo.collect()
-        assert all(len(episode) == 1 for episode in ppo._episodes)
+        assert all(len(episode) == 1 for episode in ppo.episodes)
         assert (ppo._batch()[4].numpy() != 1.0).all()
 
     @pytest.mark.parametrize("info", [{"is_success": 7}, {"is_success": math.inf}])
