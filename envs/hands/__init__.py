@@ -70,8 +70,6 @@ class Usage:
     """Id of its environment in Gymnasium's registry; by name it is `make(name)`."""
     scene: dict[str, Any] = field(default_factory=dict)
     """Fields of its scene that differ from the defaults of `GraspConfig`."""
-    closing: Any = None
-    """A value of 0.4.0 that nothing reads any more."""
 
 
 def is_hand(name: str) -> bool:

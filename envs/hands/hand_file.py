@@ -73,8 +73,6 @@ def _hand(parts: Parts, path: Path) -> Hand:
         actuated=(*SLIDES, *driven),
         palm=built.palm,
         palm_point=parts.palm_point,
-        palmar=tuple(parts.palmar.tolist()),
-        fingers=tuple(parts.fingers.tolist()),
         fingertips=tuple((each.links[-1], each.tip) for each in parts.digits.values()),
         surfaces=sides,
         pitch=surfaces.pitch(parts, sides),

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import filter as filter_names
 from fnmatch import fnmatchcase
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +29,7 @@ Span = tuple[Number, Number]
 BASE = "base of all roots"
 OBJECT, GROUND, GIVER = "object", "ground", "giver"
 """Names of what is in a scene besides the hand."""
-RESERVED = {OBJECT, GROUND, *SLIDES}
+RESERVED = OBJECT, GROUND, GIVER, *SLIDES
 KINDS = ("tendons", "actuators", "sites", "geoms", "bodies")  # of what can be left out
 DEFAULT_RANGES = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
 """End of the range that a driven joint without one gets, to both sides, rad or m."""
@@ -145,10 +146,9 @@ class Mount:
             angle = float(np.linalg.norm(turn))
             axis = np.round(turn / max(angle, 1e-9), 12)
             root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
+        usual = model_file.EMPTY_SPEC.default
         for name, axis in zip(SLIDES, rotation, strict=True):
-            slide = root.add_joint(
-                model_file.EMPTY_SPEC.default, name=name, type=LINEAR, axis=axis
-            )
+            slide = root.add_joint(usual, name=name, type=LINEAR, axis=axis)
             slide.damping[0] = self.slides.damping
             add_servo(spec, name, self.slides.gain, self.slides.force)
         carrying = chain(spec.body(self.palm))
@@ -194,11 +194,10 @@ class Mount:
         spec = model_file.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
-        sites = [site for site in spec.sites if site.name in (OBJECT, GIVER)]
-        for element in (*spec.bodies, *spec.joints, *spec.geoms, *sites):
-            if element.name in RESERVED or element in sites:
+        for find, name in product((spec.body, spec.joint, spec.geom, spec.site), RESERVED):
+            if find(name):
                 raise ValueError(
-                    f"model: found a part called {element.name!r}, which something else in every scene "
+                    f"model: found a part called {name!r}, which something else in every scene "
                     "is called; rename it"
                 )
         if not visual:
