@@ -29,7 +29,8 @@ from .hand import (
     short_digest,
 )
 from .mount import Mount
-from .parts import GraspTable, HandFile, Names, Parts, require_distinct
+from .parts import Parts, require_distinct
+from .tables import GraspTable, HandFile, Names
 
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
 """m: around the hand at the start; of the search for it."""
@@ -71,7 +72,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         joints=(*SLIDES, *parts.joints),
         actuators=actuators,
         actuated=(*SLIDES, *driven),
-        palm=built.palm,
+        palm=parts.palm_frame.link,
         palm_point=parts.palm_point,
         fingertips=tuple((each.links[-1], each.tip) for each in parts.digits.values()),
         surfaces=sides,
@@ -113,12 +114,10 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "left out of pictures, as their files are missing or cannot be read: meshes ": (
             model_file.undrawable(spec)
         ),
-        "joints have the library's servos, as these are no position servos: ": parts.misfits[
-            0
-        ],
-        "joints have the library's servos, as these are on joints that have one: ": parts.misfits[
-            1
-        ],
+        **{
+            f"joints have the library's servos, as these are {why}: ": names
+            for why, names in parts.misfits.items()
+        },
         "joints whose effort is 0, which have the servos' force: ": [
             joint.get("name", "")
             for joint in model_file.parsed(parts.unread.model)[0].findall("joint")

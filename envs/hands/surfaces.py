@@ -19,7 +19,8 @@ from . import model_file, mount
 from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
 from .hand import SEGMENTS, Frame, Pitch, Point, Sensors, Surface
 from .model_file import Spot
-from .parts import DigitTable, Parts
+from .parts import Parts
+from .tables import DigitTable
 
 PARALLEL = 0.99  # cosine
 OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link

@@ -23,7 +23,8 @@ from ..envs import validation
 from ..envs.hands import mount
 from ..envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
 from ..envs.hands.hand import DIGITS
-from ..envs.hands.parts import Angles, HandFile, Parts, between
+from ..envs.hands.parts import Angles, Parts, between
+from ..envs.hands.tables import HandFile
 from ..envs.state import Array
 
 WORDS = {
