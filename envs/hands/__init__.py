@@ -5,7 +5,7 @@
 | `hand` | what the rest of the library knows of a hand |
 | `model_file` | models as published, MJCF or URDF |
 | `mount` | a model on slides, with servos: what a simulator gets |
-| `parts` | the TOML file, and what of the model it means |
+| `tables`, `parts` | the TOML file; what it means of the model |
 | `geometry`, `surfaces` | shapes and skin of links; where taxels may lie, the model's own sensors |
 | `hand_file` | all of it together: a `Hand` from a file |
 | `checks` | what is wrong with anybody's own hand, before it is used |

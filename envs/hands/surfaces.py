@@ -12,11 +12,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..state import Array
 from ..validation import require_known
 from . import model_file, mount
-from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
+from .geometry import geoms_of, meet, mesh_points, outside, perpendicular, posed, unit
 from .hand import SEGMENTS, Frame, Pitch, Point, Sensors, Surface
 from .model_file import Spot
 from .parts import Parts
@@ -95,7 +96,7 @@ def _segment(
         )
     is_capsule = [geom.kind for geom in geoms] == ["capsule"]
     if is_capsule:
-        half = np.array(geoms[0].rotation)[:, 2] * geoms[0].size[1]
+        half = geoms[0].turn.apply([0.0, 0.0, geoms[0].size[1]])
         ends = geoms[0].position + np.outer([-1.0, 1.0], half)
         ends = np.round(ends, NANO)  # as a model's file has it
         ends = ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")]
@@ -233,14 +234,10 @@ def _spots(parts: Parts) -> Iterator[Spot]:
     tactile = [each for each in whole.sensors if each.type == kinds.mjSENS_TACTILE]
     model = model_file.compiled(whole) if tactile else parts.model
     for sensor in tactile:
-        geom, mesh, turn = (
-            model.geom(sensor.refname),
-            model.mesh(sensor.objname),
-            np.zeros(9),
-        )
-        mujoco.mju_quat2Mat(turn, geom.quat)
-        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+        geom = model.geom(sensor.refname)
         link = model.body(geom.bodyid[0]).name
-        for number, place in enumerate(geom.pos + corners @ turn.reshape(3, 3).T):
+        corners = mesh_points(model, model.mesh(sensor.objname).id)
+        turn = Rotation.from_quat(geom.quat, scalar_first=True)
+        for number, place in enumerate(geom.pos + turn.apply(corners)):
             yield Spot(f"{sensor.name}[{number}]", link, place)
     yield from model_file.tactile(parts.unread.model)
