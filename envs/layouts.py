@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby, islice, product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,7 +31,6 @@ LOOKED_FOR = (
 )
 Millimetres = Annotated[float, "[-50, 50]"]
 Count = Annotated[int, "[1, 100]"]
-MAX_TAXELS = 20_000  # of a layout on a hand
 MIN_DISTANCE = 1e-7  # m: nearer places are the same
 LAYOUT_FOLDER = Path(__file__).with_name("layout_files")
 
@@ -203,13 +202,8 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """Return the taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
-        spots = list(islice(self.on_grids(hand), MAX_TAXELS + 1))
-        if len(spots) + len(self.taxels) > MAX_TAXELS:
-            raise ValueError(
-                f"layout {self.name!r}: found more taxels on this hand, allowed up to {MAX_TAXELS:,}"
-            )
         placed = []
-        for index, offset, point in spots:
+        for index, offset, point in self.on_grids(hand):
             surface = hand.surfaces[index]
             if not surface.is_gap(*offset):
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))

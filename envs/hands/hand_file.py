@@ -118,22 +118,13 @@ def _notes(parts: Parts) -> tuple[str, ...]:
             f"joints have the library's servos, as these are {why}: ": names
             for why, names in parts.misfits.items()
         },
-        "joints whose effort is 0, which have the servos' force: ": [
-            joint.get("name", "")
-            for joint in model_file.parsed(parts.unread.model)[0].findall("joint")
-            for limit in joint.findall("limit")
-            if float(limit.get("effort", 1)) == 0
-        ],
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
             joint.name
             for joint in parts.raw.joints
-            if joint.name in parts.driven
-            and mount.is_unranged(joint)
-            and mount.has_no_control_range(
-                parts.spec.actuator(parts.driven[joint.name])
-            )
+            if mount.is_unranged(joint)
+            and not mount.is_unranged(parts.spec.joint(joint.name))
         ],
     }
     return tuple(text + ", ".join(names) for text, names in notes.items() if names)
@@ -144,7 +135,8 @@ def _finger_length(sides: tuple[Surface, ...]) -> float:
     lengths = dict.fromkeys((side.digit for side in sides), 0.0)
     for side in sides:
         if side.segment != "palm":
-            lengths[side.digit] += side.span[1] - side.span[0]
+            low, high, _ = side.span
+            lengths[side.digit] += high - low
     return max(lengths.values())
 
 

@@ -28,6 +28,7 @@ RESERVED = OBJECT, GROUND, GIVER, *SLIDES
 KINDS = ("tendons", "actuators", "sites", "geoms", "bodies")  # of what can be left out
 DEFAULT_RANGES = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
 """End of the range that a driven joint without one gets, to both sides, rad or m."""
+UNLIMITED, LIMITED = mujoco.mjtLimited.mjLIMITED_FALSE, mujoco.mjtLimited.mjLIMITED_TRUE
 FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -143,14 +144,13 @@ class Mount:
         for body in spec.bodies[1:]:
             body.gravcomp = 1.0
             body.mass = self.file.masses.get(body.name, body.mass)
-        if self.fuses:
-            for body in weightless(spec):
-                if list(body.bodies):
-                    _make_light(body)
+        for body in weightless(spec):
+            if list(body.bodies):
+                _make_light(body)
         for joint in spec.joints:
             if joint.name in self.ranges:
                 joint.range = np.array(self.ranges[joint.name]) / _unit(joint)
-                joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+                joint.limited = LIMITED
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
@@ -173,7 +173,7 @@ class Mount:
         if not self.file.root and not all(map(is_loose, roots)):
             for body in filter(is_loose, roots):
                 spec.delete(body)
-        undrawable = model_file.undrawable(spec) if self.fuses else ()
+        undrawable = model_file.undrawable(spec)
         for geom in spec.geoms:
             if geom.meshname in undrawable:
                 spec.delete(geom)
@@ -196,8 +196,6 @@ class Mount:
 
         What follows another joint by one gets what a servo's joint has, or it yields under load.
         """
-        if not self.fuses:
-            return
         tied = {part.target.name for tendon in spec.tendons for part in tendon.path
                 if part.type == mujoco.mjtWrap.mjWRAP_JOINT}  # fmt: skip
         tied |= {coupling.joint for coupling in followed(spec)}
@@ -222,7 +220,7 @@ class Mount:
             for actuator in spec.actuators:
                 spec.delete(actuator)
         for actuator in spec.actuators:
-            if self.fuses and is_servo(spec, actuator):
+            if is_servo(spec, actuator):
                 measure_in_joints(spec, actuator)
         followers = {coupling.joint for coupling in followed(spec)}
         for joint in spec.joints if not spec.actuators else ():
@@ -232,11 +230,12 @@ class Mount:
                 add_servo(spec, joint.name, servo.gain, servo.limit)
         for actuator in spec.actuators:
             for name in arms(spec, actuator):
-                joint = spec.joint(name)
-                if is_unranged(joint) and has_no_control_range(actuator):
+                joint, is_free = spec.joint(name), actuator.ctrllimited == UNLIMITED
+                has_control_range = not is_free and np.ptp(actuator.ctrlrange) != 0
+                if is_unranged(joint) and not has_control_range:
                     end = DEFAULT_RANGES[joint.type] / _unit(joint)
                     joint.range = [-end, end]
-                    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+                    joint.limited = LIMITED
 
     def _servo(self, joint: mujoco.MjsJoint) -> HingeServo:
         servos = self.file.servos
@@ -347,21 +346,13 @@ def link_of(body: mujoco.MjsBody) -> mujoco.MjsBody:
 def is_unranged(joint: mujoco.MjsJoint) -> bool:
     """Return whether a joint has no range."""
     is_auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
-    return joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or bool(
-        is_auto and joint.range[0] == joint.range[1]
-    )
+    return joint.limited == UNLIMITED or bool(is_auto and np.ptp(joint.range) == 0)
 
 
 def fixed_to_world(spec: mujoco.MjSpec) -> set[str]:
     """Return the bodies that equalities fix to the world."""
     fixed = [bodies for _, *bodies in joined(spec) if "world" in bodies]
     return set[str]().union(*fixed) - {"world"}
-
-
-def has_no_control_range(actuator: mujoco.MjsActuator) -> bool:
-    """Return whether an actuator's control has no range."""
-    is_free = actuator.ctrllimited == mujoco.mjtLimited.mjLIMITED_FALSE
-    return bool(is_free or actuator.ctrlrange[0] == actuator.ctrlrange[1])
 
 
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:

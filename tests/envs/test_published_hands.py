@@ -517,10 +517,6 @@ class TestUrdf:
         hand = hands.get(made(model, URDF, "hand.urdf"))
         assert hand.notes[0].endswith("gives them another: l_b, r_b")
 
-    def test_an_effort_of_zero_is_said(self, made):
-        hand = hands.get(made(urdf().replace('effort="1"', 'effort="0"', 1), URDF, "hand.urdf"))
-        assert hand.notes == ("joints whose effort is 0, which have the servos' force: l_a",)
-
     def test_a_mimic_has_its_offset(self, made):
         mimic = '<mimic joint="{n}_a" multiplier="0.5" offset="0.7"/>'
         hand = hands.get(made(urdf(mimic=mimic), FOLLOWERS.replace("0.038", "0.05"), "hand.urdf"))
