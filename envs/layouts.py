@@ -26,8 +26,8 @@ from .validation import Newtons, require_one_of
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
 LOOKED_FOR = (
-    "looked for sites with MuJoCo's <touch>, its <tactile>, a URDF's <sensor><tactile>, and what is "
-    "fixed to a link and called sensor, taxel, tactile, touch or fsr"
+    "looked for sites with MuJoCo's <touch>, and what is fixed to a link and called sensor, taxel, "
+    "tactile, touch or fsr"
 )
 Millimetres = Annotated[float, "[-50, 50]"]
 Count = Annotated[int, "[1, 100]"]
@@ -163,13 +163,8 @@ class PatchTable:
             (pitch * (row - (self.rows - 1) / 2) for row in range(self.rows)),
             (pitch * (col - (self.columns - 1) / 2) for col in range(self.columns)),
         )
-        return Patch(
-            self.digits,
-            self.segments,
-            tuple(places),
-            self.radius_mm,
-            self.threshold_N,
-        )
+        where = self.digits, self.segments, tuple(places)
+        return Patch(*where, self.radius_mm, self.threshold_N)
 
 
 @dataclass(frozen=True)
@@ -231,18 +226,11 @@ class Layout:
         lines = [f"description = {validation.quoted(self.description)}"]
         lines += ["partial = true"] if self.partial else []
         for patch in self.patches:
-            values = {
-                "digits": patch.digits,
-                "segments": patch.segments,
-                "offsets_mm": patch.offsets,
-                "radius_mm": patch.radius_mm,
-                "threshold_N": patch.threshold_N,
-            }
             lines += ["", "[[patch]]"]
             lines += [
-                f"{key} = {validation.quoted(value)}"
-                for key, value in values.items()
-                if value is not None
+                f"{key.replace('offsets', 'offsets_mm')} = {validation.quoted(value)}"
+                for key, value in vars(patch).items()
+                if value is not None and value is not False
             ]
         for point in self.taxels:
             lines += ["", *point.toml()]

@@ -108,9 +108,6 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "left out, as they move freely beside the hand: ": [
             body.name for body in loose if body.name not in bodies
         ],
-        "let go, as the model fixes them to the world: ": sorted(
-            mount.fixed_to_world(spec) - mount.fixed_to_world(parts.raw)
-        ),
         "left out of pictures, as their files are missing or cannot be read: meshes ": (
             model_file.undrawable(spec)
         ),

@@ -289,11 +289,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
 
 def chain(body: mujoco.MjsBody) -> list[str]:
     """Return what a body hangs on, from the root on, and itself."""
-    names: list[str] = []
-    while body.name != "world":
-        names.insert(0, body.name)
-        body = body.parent
-    return names
+    return [] if body.name == "world" else [*chain(body.parent), body.name]
 
 
 def loops(spec: mujoco.MjSpec) -> list[set[str]]:
@@ -338,21 +334,13 @@ def is_fixed(body: mujoco.MjsBody) -> bool:
 
 def link_of(body: mujoco.MjsBody) -> mujoco.MjsBody:
     """Return the body that moves by itself, or is at the root, and of which a body is a part."""
-    while is_fixed(body):
-        body = body.parent
-    return body
+    return link_of(body.parent) if is_fixed(body) else body
 
 
 def is_unranged(joint: mujoco.MjsJoint) -> bool:
     """Return whether a joint has no range."""
     is_auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
     return joint.limited == UNLIMITED or bool(is_auto and np.ptp(joint.range) == 0)
-
-
-def fixed_to_world(spec: mujoco.MjSpec) -> set[str]:
-    """Return the bodies that equalities fix to the world."""
-    fixed = [bodies for _, *bodies in joined(spec) if "world" in bodies]
-    return set[str]().union(*fixed) - {"world"}
 
 
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:

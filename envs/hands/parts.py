@@ -272,9 +272,9 @@ class Parts:
 
     def way(self, joint: str) -> float:
         """Return how far it goes from open to closed, by itself or following another, rad or m."""
-        opened = self.followed(self.opened) | self.opened
-        closed = self.followed(self.closed) | self.closed
-        return closed.get(joint, 0.0) - opened.get(joint, 0.0)
+        ends = (self.followed(ends) | ends for ends in (self.opened, self.closed))
+        opened, closed = (angles.get(joint, 0.0) for angles in ends)
+        return closed - opened
 
     def at(self, share: float) -> Angles:
         """Return the angles at a share of the way from open to closed."""

@@ -12,14 +12,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..state import Array
 from ..validation import require_known
 from . import model_file, mount
-from .geometry import geoms_of, meet, mesh_points, outside, perpendicular, posed, unit
-from .hand import SEGMENTS, Frame, Pitch, Point, Sensors, Surface
-from .model_file import Spot
+from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
+from .hand import RADIUS, SEGMENTS, Frame, Pitch, Point, Sensors, Surface
 from .parts import Parts
 from .tables import DigitTable
 
@@ -218,26 +216,13 @@ def sensors(parts: Parts) -> Sensors:
     return Sensors(tuple(points), tuple(left_out))
 
 
-def _spots(parts: Parts) -> Iterator[Spot]:
+def _spots(parts: Parts) -> Iterator[Point]:
     """Yield every touch sensor of the model, whatever it lies on (`LOOKED_FOR`)."""
-    whole, kinds = model_file.read(parts.unread.model), mujoco.mjtSensor
-    touching = {
-        each.objname for each in whole.sensors if each.type == kinds.mjSENS_TOUCH
-    }
+    whole, touch = model_file.read(parts.unread.model), mujoco.mjtSensor.mjSENS_TOUCH
+    touching = {each.objname for each in whole.sensors if each.type == touch}
     for site in map(parts.model.site, (site.name for site in parts.spec.sites)):
         if site.name in touching:
             link = parts.model.body(site.bodyid[0]).name
-            yield Spot(site.name, link, site.pos, site.size[0])
-    for name in parts.welded:
-        if SENSORS.search(name):
-            yield Spot(name, name, ORIGIN)
-    tactile = [each for each in whole.sensors if each.type == kinds.mjSENS_TACTILE]
-    model = model_file.compiled(whole) if tactile else parts.model
-    for sensor in tactile:
-        geom = model.geom(sensor.refname)
-        link = model.body(geom.bodyid[0]).name
-        corners = mesh_points(model, model.mesh(sensor.objname).id)
-        turn = Rotation.from_quat(geom.quat, scalar_first=True)
-        for number, place in enumerate(geom.pos + turn.apply(corners)):
-            yield Spot(f"{sensor.name}[{number}]", link, place)
-    yield from model_file.tactile(parts.unread.model)
+            yield Point(link, site.pos, (), site.size[0], site.name)
+    for name in filter(SENSORS.search, parts.welded):
+        yield Point(name, ORIGIN, (), RADIUS, name)
