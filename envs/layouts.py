@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby, islice, product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,12 +26,11 @@ from .validation import Newtons, require_one_of
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
 LOOKED_FOR = (
-    "looked for sites with MuJoCo's <touch>, its <tactile>, a URDF's <sensor><tactile>, and what is "
-    "fixed to a link and called sensor, taxel, tactile, touch or fsr"
+    "looked for sites with MuJoCo's <touch>, and what is fixed to a link and called sensor, taxel, "
+    "tactile, touch or fsr"
 )
 Millimetres = Annotated[float, "[-50, 50]"]
 Count = Annotated[int, "[1, 100]"]
-MAX_TAXELS = 20_000  # of a layout on a hand
 MIN_DISTANCE = 1e-7  # m: nearer places are the same
 LAYOUT_FOLDER = Path(__file__).with_name("layout_files")
 
@@ -164,13 +163,8 @@ class PatchTable:
             (pitch * (row - (self.rows - 1) / 2) for row in range(self.rows)),
             (pitch * (col - (self.columns - 1) / 2) for col in range(self.columns)),
         )
-        return Patch(
-            self.digits,
-            self.segments,
-            tuple(places),
-            self.radius_mm,
-            self.threshold_N,
-        )
+        where = self.digits, self.segments, tuple(places)
+        return Patch(*where, self.radius_mm, self.threshold_N)
 
 
 @dataclass(frozen=True)
@@ -203,13 +197,8 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """Return the taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
-        spots = list(islice(self.on_grids(hand), MAX_TAXELS + 1))
-        if len(spots) + len(self.taxels) > MAX_TAXELS:
-            raise ValueError(
-                f"layout {self.name!r}: found more taxels on this hand, allowed up to {MAX_TAXELS:,}"
-            )
         placed = []
-        for index, offset, point in spots:
+        for index, offset, point in self.on_grids(hand):
             surface = hand.surfaces[index]
             if not surface.is_gap(*offset):
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
@@ -237,18 +226,11 @@ class Layout:
         lines = [f"description = {validation.quoted(self.description)}"]
         lines += ["partial = true"] if self.partial else []
         for patch in self.patches:
-            values = {
-                "digits": patch.digits,
-                "segments": patch.segments,
-                "offsets_mm": patch.offsets,
-                "radius_mm": patch.radius_mm,
-                "threshold_N": patch.threshold_N,
-            }
             lines += ["", "[[patch]]"]
             lines += [
-                f"{key} = {validation.quoted(value)}"
-                for key, value in values.items()
-                if value is not None
+                f"{key.replace('offsets', 'offsets_mm')} = {validation.quoted(value)}"
+                for key, value in vars(patch).items()
+                if value is not None and value is not False
             ]
         for point in self.taxels:
             lines += ["", *point.toml()]

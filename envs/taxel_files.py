@@ -91,7 +91,6 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         text = read_text(path, "taxel file")
         try:
             tables = list(READERS[path.suffix](text))
-            _require_metres(tables)
         except (LookupError, TypeError, AttributeError, RecursionError, csv.Error) as e:
             raise ValueError(
                 f"found another form ({type(e).__name__}: {e}), expected {FORMS[path.suffix]}"
@@ -102,17 +101,6 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         points = tuple(point(table | on_link, i) for i, table in enumerate(tables, 1))
         require_distinct(points)
         return points
-
-
-def _require_metres(tables: Sequence[dict[str, Any]]) -> None:
-    """Raise ValueError where places or radii are too large to be in m."""
-    for number, table in enumerate(tables, 1):
-        longest, radius = max(map(abs, table["position"])), table.get("radius", RADIUS)
-        if longest > 1.0 or radius > 0.02:
-            raise ValueError(
-                f"taxel {number}: found position {list(table['position'])} and radius {radius}, "
-                "allowed up to 1 m and 0.02 m: in mm? Then divide by 1000"
-            )
 
 
 def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:

@@ -5,7 +5,7 @@
 | `hand` | what the rest of the library knows of a hand |
 | `model_file` | models as published, MJCF or URDF |
 | `mount` | a model on slides, with servos: what a simulator gets |
-| `parts` | the TOML file, and what of the model it means |
+| `tables`, `parts` | the TOML file; what it means of the model |
 | `geometry`, `surfaces` | shapes and skin of links; where taxels may lie, the model's own sensors |
 | `hand_file` | all of it together: a `Hand` from a file |
 | `checks` | what is wrong with anybody's own hand, before it is used |
@@ -70,8 +70,6 @@ class Usage:
     """Id of its environment in Gymnasium's registry; by name it is `make(name)`."""
     scene: dict[str, Any] = field(default_factory=dict)
     """Fields of its scene that differ from the defaults of `GraspConfig`."""
-    closing: Any = None
-    """A value of 0.4.0 that nothing reads any more."""
 
 
 def is_hand(name: str) -> bool:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 
 from ..objects import KINDS as OBJECT_KINDS
 from ..objects import Shape
@@ -37,16 +38,20 @@ class Geom(NamedTuple):
     """The three numbers of MuJoCo's `size`, m."""
     position: tuple[float, ...]
     """(3,), m."""
-    rotation: tuple[tuple[float, ...], ...]
-    """(3, 3)."""
+    quaternion: tuple[float, ...]
+    """(4,), wxyz."""
     corners: tuple[tuple[float, ...], ...]
     """Corners of a mesh's convex hull, or of the box around another shape, in the geom's frame, m."""
 
     @property
+    def turn(self) -> Rotation:
+        """Rotation of the geom in its link."""
+        return Rotation.from_quat(self.quaternion, scalar_first=True)
+
+    @property
     def points(self) -> Array:
         """Corners (n, 3) in the link's frame, m."""
-        turned = np.array(self.corners) @ np.array(self.rotation).T
-        return np.array(self.position) + turned
+        return self.position + self.turn.apply(self.corners)
 
 
 def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
@@ -56,18 +61,20 @@ def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
         kind = mujoco.mjtGeom(geom.type[0]).name.removeprefix("mjGEOM_").lower()
         corners = list(product((-1, 1), repeat=3)) * model.geom_aabb[geom.id, 3:]
         if kind == MESH:
-            mesh = model.mesh(geom.dataid[0])
-            corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
-            corners = corners.astype(float)
+            corners = mesh_points(model, geom.dataid[0])
             with suppress(QhullError):  # it is flat
                 corners = corners[ConvexHull(corners).vertices]
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, geom.quat)
-        rows, points = (
-            tuple(map(tuple, a.tolist())) for a in (rotation.reshape(3, 3), corners)
+        measures = (
+            tuple(values.tolist()) for values in (geom.size, geom.pos, geom.quat)
         )
-        shapes.append(Geom(kind, tuple(geom.size), tuple(geom.pos), rows, points))
+        shapes.append(Geom(kind, *measures, tuple(map(tuple, corners.tolist()))))
     return tuple(shapes)
+
+
+def mesh_points(model: mujoco.MjModel, mesh: int) -> Array:
+    """Return the vertices (n, 3) of a mesh, m."""
+    first, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    return model.mesh_vert[first : first + n].astype(float)
 
 
 def colliding(model: mujoco.MjModel, body: int | str) -> list[Any]:
@@ -84,7 +91,12 @@ def meet(
 
     The ray goes through `above` (3,) along `direction` (3,). None where it misses them.
     """
-    return _distances(geoms).along(above, direction) if geoms else None
+    normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
+    start, scene = above - BEYOND_ANY_HAND * direction, _distances(geoms)
+    away = mujoco.mj_ray(
+        scene.model, scene.data, start, direction, group, True, -1, None, normal
+    )
+    return None if away < 0 else (start + away * direction, normal)
 
 
 class Distances:
@@ -94,25 +106,19 @@ class Distances:
         """Put the geoms of links, each in the frame of its link, beside an object of each shape."""
         spec = mujoco.MjSpec()
         for number, geom in enumerate(geoms):
-            quaternion, name = np.zeros(4), f"mesh{number}"
-            mujoco.mju_mat2Quat(quaternion, np.ravel(geom.rotation))
-            if geom.kind == MESH:
+            name = f"mesh{number}" if geom.kind == MESH else ""
+            if name:
                 spec.add_mesh(name=name, uservert=np.ravel(geom.corners))
-            spec.worldbody.add_geom(
-                type=KINDS[geom.kind],
-                size=geom.size,
-                meshname=name if geom.kind == MESH else "",
-                pos=geom.position,
-                quat=quaternion,
-            )
+            place = {"pos": geom.position, "quat": geom.quaternion, "meshname": name}
+            spec.worldbody.add_geom(type=KINDS[geom.kind], size=geom.size, **place)
         for kind in OBJECT_KINDS:
             spec.worldbody.add_geom(
                 name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01], group=1
             )
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_kinematics(self._model, self._data)
-        self._places = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, self.data)
+        self._places = self.data.geom_xpos.copy(), self.data.geom_xmat.copy()
 
     def within(
         self, geom: int, position: Array, rotation: Array, shape: Shape, centre: Array, turn: Array,
@@ -122,7 +128,7 @@ class Distances:
 
         `position` (3,) and `rotation` (3, 3) are of the geom's link, `centre` and `turn` of the object.
         """
-        model, data = self._model, self._data
+        model, data = self.model, self.data
         x, _, z = shape.half_size
         item = model.geom(shape.kind).id
         model.geom_size[item] = (
@@ -137,18 +143,9 @@ class Distances:
             mujoco.mj_geomDistance(model, data, geom, item, 2 * reach, None) <= reach
         )
 
-    def along(self, above: Array, direction: Array) -> tuple[Array, Array] | None:
-        """Return where a ray meets the geoms on their link, and the normal there (`meet`)."""
-        normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
-        start = above - BEYOND_ANY_HAND * direction
-        away = mujoco.mj_ray(
-            self._model, self._data, start, direction, group, True, -1, None, normal
-        )
-        return None if away < 0 else (start + away * direction, normal)
-
     def nearest(self, point: Array) -> tuple[int, float]:
         """Return the geom that is nearest to a point (3,) of its link, and its distance, m."""
-        model, data = self._model, self._data
+        model, data = self.model, self.data
         data.geom_xpos[:], data.geom_xmat[:] = self._places
         item = model.geom("sphere").id
         model.geom_size[item] = model.geom_rbound[item] = 1e-6

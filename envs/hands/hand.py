@@ -327,10 +327,6 @@ class Hand:
     palm: str
     """Body whose ``palm_point`` is "the hand" in rewards."""
     palm_point: tuple[float, ...]
-    palmar: tuple[float, ...]
-    """Unit vector out of the palm, in its frame."""
-    fingers: tuple[float, ...]
-    """Unit vector from the palm towards the fingers, in its frame."""
     fingertips: tuple[tuple[str, tuple[float, ...]], ...]
     """Body and point (m, body frame) of the tip of each digit it has."""
     surfaces: tuple[Surface, ...]

@@ -29,7 +29,8 @@ from .hand import (
     short_digest,
 )
 from .mount import Mount
-from .parts import GraspTable, HandFile, Names, Parts, require_distinct
+from .parts import Parts, require_distinct
+from .tables import GraspTable, HandFile, Names
 
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
 """m: around the hand at the start; of the search for it."""
@@ -71,10 +72,8 @@ def _hand(parts: Parts, path: Path) -> Hand:
         joints=(*SLIDES, *parts.joints),
         actuators=actuators,
         actuated=(*SLIDES, *driven),
-        palm=built.palm,
+        palm=parts.palm_frame.link,
         palm_point=parts.palm_point,
-        palmar=tuple(parts.palmar.tolist()),
-        fingers=tuple(parts.fingers.tolist()),
         fingertips=tuple((each.links[-1], each.tip) for each in parts.digits.values()),
         surfaces=sides,
         pitch=surfaces.pitch(parts, sides),
@@ -109,34 +108,20 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         "left out, as they move freely beside the hand: ": [
             body.name for body in loose if body.name not in bodies
         ],
-        "let go, as the model fixes them to the world: ": sorted(
-            mount.fixed_to_world(spec) - mount.fixed_to_world(parts.raw)
-        ),
         "left out of pictures, as their files are missing or cannot be read: meshes ": (
             model_file.undrawable(spec)
         ),
-        "joints have the library's servos, as these are no position servos: ": parts.misfits[
-            0
-        ],
-        "joints have the library's servos, as these are on joints that have one: ": parts.misfits[
-            1
-        ],
-        "joints whose effort is 0, which have the servos' force: ": [
-            joint.get("name", "")
-            for joint in model_file.parsed(parts.unread.model)[0].findall("joint")
-            for limit in joint.findall("limit")
-            if float(limit.get("effort", 1)) == 0
-        ],
+        **{
+            f"joints have the library's servos, as these are {why}: ": names
+            for why, names in parts.misfits.items()
+        },
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
             joint.name
             for joint in parts.raw.joints
-            if joint.name in parts.driven
-            and mount.is_unranged(joint)
-            and mount.has_no_control_range(
-                parts.spec.actuator(parts.driven[joint.name])
-            )
+            if mount.is_unranged(joint)
+            and not mount.is_unranged(parts.spec.joint(joint.name))
         ],
     }
     return tuple(text + ", ".join(names) for text, names in notes.items() if names)
@@ -147,7 +132,8 @@ def _finger_length(sides: tuple[Surface, ...]) -> float:
     lengths = dict.fromkeys((side.digit for side in sides), 0.0)
     for side in sides:
         if side.segment != "palm":
-            lengths[side.digit] += side.span[1] - side.span[0]
+            low, high, _ = side.span
+            lengths[side.digit] += high - low
     return max(lengths.values())
 
 

@@ -6,23 +6,16 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from ..state import Array
-from .hand import RADIUS
 
 EMPTY_SPEC = mujoco.MjSpec()
 """MuJoCo's own defaults, `EMPTY_SPEC.default`, for what is added to a model that has defaults."""
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
-MOST_BODIES, MOST_GEOMS = 1_000, 5_000
-MOST_TAXELS = 10_000  # of an array of a URDF
 LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
 MAX_RADIANS = 3 * np.pi  # rad: URDFs whose limits are wider have degrees
 # What a scene decides, and no hand:
@@ -38,33 +31,19 @@ def read(path: Path) -> mujoco.MjSpec:
 
     Raise ValueError in one line for a file that is wrong.
     """
-    root, files = parsed(path)
+    root, _ = parsed(path)
     is_urdf = root.tag == "robot"
     with reading():
-        text = path.read_text(encoding="utf-8")
         if is_urdf:
             _prepare_urdf(root, path)
-        if is_urdf or len(files) > 1:
-            text = ElementTree.tostring(root, encoding="unicode")
-        spec = mujoco.MjSpec.from_string(text)
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     _leave_out_world(spec)
-    n_bodies, n_geoms = len(spec.bodies), len(spec.geoms)
-    if n_bodies > MOST_BODIES or n_geoms > MOST_GEOMS:
-        raise ValueError(
-            f"model {path}: found {n_bodies:,} bodies with {n_geoms:,} geoms, allowed "
-            f"{MOST_BODIES:,} with {MOST_GEOMS:,}: make a file of the hand alone"
-        )
     spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
     for number, body in enumerate(spec.bodies):
         body.name = body.name or f"unnamed body {number}"
     for number, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or f"{actuator.target} {number}"
-        figures = [*actuator.gear, *actuator.gainprm, *actuator.biasprm]
-        if not np.isfinite(figures).all():
-            raise ValueError(
-                f"model: actuator {actuator.name!r}: found NaN or infinity, allowed finite numbers"
-            )
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia |= is_urdf
     for mesh in spec.meshes if is_urdf else ():  # scans are seldom closed
@@ -132,20 +111,15 @@ def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
 
     Raise FileNotFoundError for a pipe and the like: MuJoCo would wait for its end.
     """
-    folders = {
-        "meshes": spec.meshdir,
-        "hfields": spec.meshdir,
-        "textures": spec.texturedir,
-    }
+    named = [(spec.meshdir, each.file) for each in (*spec.meshes, *spec.hfields)]
+    named += [(spec.texturedir, each.file) for each in spec.textures]
     files = []
-    for kind, folder in folders.items():
-        for element in getattr(spec, kind):
-            name = Path(element.file).name if spec.strippath else element.file
-            file = path.parent / folder / name
-            if file.is_file():
-                files.append(file)
-            elif name and file.exists():
-                raise FileNotFoundError(f"model: found no file {str(file)!r}")
+    for folder, name in named:
+        file = path.parent / folder / (Path(name).name if spec.strippath else name)
+        if file.is_file():
+            files.append(file)
+        elif name and file.exists():
+            raise FileNotFoundError(f"model: found no file {str(file)!r}")
     return files
 
 
@@ -246,66 +220,6 @@ def _prepare_urdf(robot: Element, path: Path) -> None:
         fusestatic="false",
         discardvisual="false",
     )
-
-
-class Spot(NamedTuple):
-    """A touch sensor of a model."""
-
-    name: str
-    link: str
-    position: Any
-    """(3,), in the frame of the link, m."""
-    radius: float = RADIUS
-    """m"""
-
-
-def tactile(path: Path) -> Iterator[Spot]:
-    """Yield the taxels of a URDF's `<sensor><tactile>`: of arrays, or each by itself.
-
-    Columns of an array go along y (github.com/ubi-agni/tactile_toolbox). Raise ValueError for what is
-    no number.
-    """
-    robot = parsed(path)[0]
-    for sensor in robot.iter("sensor") if robot.tag == "robot" else ():
-        link = "".join(parent.get("link", "") for parent in sensor.findall("parent"))
-        turn, origin = np.eye(3), np.zeros(3)
-        for pose in sensor.findall("origin"):
-            angles = _numbers(pose, "rpy", "0 0 0")
-            turn = Rotation.from_euler("xyz", angles).as_matrix()
-            origin = _numbers(pose, "xyz", "0 0 0")
-        for label, place, size in _taxels(sensor):
-            name = f"{sensor.get('name')}[{label}]"
-            yield Spot(name, link, origin + turn @ place, size / 2)
-
-
-def _taxels(sensor: Element) -> Iterator[tuple[str, Any, float]]:
-    """Yield what a tactile sensor's taxels are called, and their places (3,) and sizes, m."""
-    for array in sensor.findall("tactile/array"):
-        rows, columns = (int(array.get(key, 1)) for key in ("rows", "cols"))
-        if not 1 <= rows * columns <= MOST_TAXELS:
-            raise ValueError(
-                f"model: sensor {sensor.get('name')!r}: found {rows} x {columns} taxels, allowed "
-                f"{MOST_TAXELS:,}"
-            )
-        size = _numbers(array, "size", "0.004 0.004")
-        spacing = _numbers(array, "spacing", array.get("size", "0.004 0.004"))
-        for spot in np.ndindex(rows, columns):
-            place = spacing * spot - _numbers(array, "offset", "0 0")
-            yield f"{spot[0]},{spot[1]}", [*place, 0.0], size.min()
-    for taxel in sensor.findall("tactile/taxel"):
-        sizes = [
-            np.median(_numbers(box, "size", ""))
-            for box in taxel.findall("geometry/box")
-        ]
-        yield (
-            taxel.get("idx", ""),
-            _numbers(taxel, "xyz", "0 0 0"),
-            *(sizes or [2 * RADIUS])[:1],
-        )
-
-
-def _numbers(element: Element, key: str, usual: str) -> Array:
-    return np.array([float(word) for word in element.get(key, usual).split()])
 
 
 def _check_joints(robot: Element) -> None:

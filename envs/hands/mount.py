@@ -9,29 +9,26 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import filter as filter_names
 from fnmatch import fnmatchcase
+from itertools import product
 from pathlib import Path
-from typing import Annotated
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..state import Array
-from ..validation import Fraction
 from . import model_file
 from .hand import SLIDES, Coupling
+from .tables import HandFile, HingeServo
 
-Number = Annotated[float, "[-1e9, 1e9]"]
-Positive = Annotated[float, "[0, 1e9]"]
-Vector = tuple[Number, Number, Number]
-Span = tuple[Number, Number]
 BASE = "base of all roots"
 OBJECT, GROUND, GIVER = "object", "ground", "giver"
 """Names of what is in a scene besides the hand."""
-RESERVED = {OBJECT, GROUND, *SLIDES}
+RESERVED = OBJECT, GROUND, GIVER, *SLIDES
 KINDS = ("tendons", "actuators", "sites", "geoms", "bodies")  # of what can be left out
 DEFAULT_RANGES = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
 """End of the range that a driven joint without one gets, to both sides, rad or m."""
+UNLIMITED, LIMITED = mujoco.mjtLimited.mjLIMITED_FALSE, mujoco.mjtLimited.mjLIMITED_TRUE
 FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -46,69 +43,15 @@ PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class Slides:
-    """The slides of the whole hand, and how actions move them."""
-
-    gain: Positive = 1000.0
-    """Position gain, N/m."""
-    damping: Positive = 79.0
-    """Damping, N s/m."""
-    force: Positive = 30.0
-    """Largest force, N. Without a limit on it the hand would be pressed into the ground."""
-    centre: Vector | None = None
-    """Position at action 0, m; default: the height of the last grasp."""
-    half_range: tuple[Fraction, Fraction, Fraction] = (0.03, 0.03, 0.20)
-    """Distances that actions of 1 move them from there, m."""
-    step: Vector = (0.01, 0.01, 0.2)
-    """Distances that actions of 1 move them where actions are increments, m."""
-    limits: tuple[Span, Span, Span] = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))
-    """Limits around the grasping height where actions are increments, m."""
-
-
-@dataclass(frozen=True)
-class HingeServo:
-    """The servo of a hinge whose model has none."""
-
-    gain: Positive = 10.0
-    """Position gain, N m/rad."""
-    damping: Positive = 0.5
-    """Damping of the joint, N m s/rad."""
-    armature: Positive = 0.01
-    """Inertia of the motor, kg m²."""
-    limit: Positive = 1.0
-    """Largest torque, N m."""
-
-
-@dataclass(frozen=True)
-class SlideServo(HingeServo):
-    """The servo of a finger's slide whose model has none, in N/m and so on."""
-
-    gain: Positive = 1000.0
-    damping: Positive = 50.0
-    armature: Positive = 0.1
-    limit: Positive = 20.0
-
-
-@dataclass(frozen=True)
-class Servos:
-    """The library's servos, by the kind of joint."""
-
-    hinge: HingeServo = HingeServo()
-    slide: SlideServo = SlideServo()
-
-
-@dataclass(frozen=True)
 class Mount:
     """Build the hand of a scene from its model; plain values, so that it can be pickled."""
 
+    file: HandFile
     model: Path
-    palm: str
-    drop: tuple[str, ...] = ()
-    """Name patterns of bodies, geoms, tendons, actuators and sites that are left out of the model."""
-    root: str = ""
-    """Body from which on the model is the hand; all of it where this is empty."""
-    fuses: bool = True
+    fuses: bool
     """True where bodies that are fixed to a link are part of it."""
+    carrying: str = ""
+    """The palm's link: what moves it is no finger."""
     keeps_servos: bool = True
     """True to keep the model's servos, if it has some."""
     couplings: tuple[Coupling, ...] = ()
@@ -117,12 +60,6 @@ class Mount:
     """Joints that get no servo."""
     ranges: dict[str, tuple[float, ...]] = field(default_factory=dict)
     """Ranges of joints that have another than in the model, rad or m."""
-    masses: dict[str, float] = field(default_factory=dict)
-    """Masses of bodies that weigh something else than in the model, kg."""
-    keeps_contacts: bool = False
-    """True where links touch what the model says; else only the object and the ground."""
-    slides: Slides = Slides()
-    servos: Servos = Servos()
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the model's root body, m."""
     rotation: tuple[tuple[float, ...], ...] = ()
@@ -145,13 +82,12 @@ class Mount:
             angle = float(np.linalg.norm(turn))
             axis = np.round(turn / max(angle, 1e-9), 12)
             root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
+        usual = model_file.EMPTY_SPEC.default
         for name, axis in zip(SLIDES, rotation, strict=True):
-            slide = root.add_joint(
-                model_file.EMPTY_SPEC.default, name=name, type=LINEAR, axis=axis
-            )
-            slide.damping[0] = self.slides.damping
-            add_servo(spec, name, self.slides.gain, self.slides.force)
-        carrying = chain(spec.body(self.palm))
+            slide = root.add_joint(usual, name=name, type=LINEAR, axis=axis)
+            slide.damping[0] = self.file.slides.damping
+            add_servo(spec, name, self.file.slides.gain, self.file.slides.force)
+        carrying = chain(spec.body(self.carrying))
         for actuator in spec.actuators:
             moved = spec.joint(next(iter(arms(spec, actuator)))).parent.name
             if moved not in carrying:  # it moves a finger, and not the palm
@@ -174,7 +110,7 @@ class Mount:
                 body.fuse = is_fixed(body)
             with model_file.quiet():
                 spec.fuse_static()
-        if not self.keeps_contacts:
+        if self.file.contacts == "others":
             # A contype without conaffinity meets the object and the ground.
             for pair in (*spec.pairs, *spec.excludes):
                 spec.delete(pair)
@@ -193,12 +129,13 @@ class Mount:
         """
         spec = model_file.read(self.model)
         self._leave_out(spec)
-        spec = _with_one_root(spec, self.root)
-        sites = [site for site in spec.sites if site.name in (OBJECT, GIVER)]
-        for element in (*spec.bodies, *spec.joints, *spec.geoms, *sites):
-            if element.name in RESERVED or element in sites:
+        spec = _with_one_root(spec, self.file.root)
+        for find, name in product(
+            (spec.body, spec.joint, spec.geom, spec.site), RESERVED
+        ):
+            if find(name):
                 raise ValueError(
-                    f"model: found a part called {element.name!r}, which something else in every scene "
+                    f"model: found a part called {name!r}, which something else in every scene "
                     "is called; rename it"
                 )
         if not visual:
@@ -206,15 +143,14 @@ class Mount:
                 spec.discard_visual()
         for body in spec.bodies[1:]:
             body.gravcomp = 1.0
-            body.mass = self.masses.get(body.name, body.mass)
-        if self.fuses:
-            for body in weightless(spec):
-                if list(body.bodies):
-                    _make_light(body)
+            body.mass = self.file.masses.get(body.name, body.mass)
+        for body in weightless(spec):
+            if list(body.bodies):
+                _make_light(body)
         for joint in spec.joints:
             if joint.name in self.ranges:
                 joint.range = np.array(self.ranges[joint.name]) / _unit(joint)
-                joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+                joint.limited = LIMITED
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
@@ -224,7 +160,7 @@ class Mount:
         own or has no use for.
         """
         names = [each.name for kind in KINDS for each in getattr(spec, kind)]
-        for pattern in self.drop:
+        for pattern in self.file.drop:
             if not filter_names(names, pattern):
                 raise ValueError(
                     f"drop: found {pattern!r}, which nothing in the model is called"
@@ -234,10 +170,10 @@ class Mount:
                     if element.name != "world" and fnmatchcase(element.name, pattern):
                         spec.delete(element)
         roots = list(spec.worldbody.bodies)
-        if not self.root and not all(map(is_loose, roots)):
+        if not self.file.root and not all(map(is_loose, roots)):
             for body in filter(is_loose, roots):
                 spec.delete(body)
-        undrawable = model_file.undrawable(spec) if self.fuses else ()
+        undrawable = model_file.undrawable(spec)
         for geom in spec.geoms:
             if geom.meshname in undrawable:
                 spec.delete(geom)
@@ -250,7 +186,7 @@ class Mount:
             *spec.cameras,
             *spec.keys,
             *(mesh for mesh in spec.meshes if mesh.name not in used),
-            *(e for e in spec.equalities if alone and is_fixed_to_world(spec, e)),
+            *(e for e, *bodies in joined(spec) if alone and "world" in bodies),
             *(g for g in spec.worldbody.geoms if alone or g.type in flat),
         ):
             spec.delete(element)
@@ -260,8 +196,6 @@ class Mount:
 
         What follows another joint by one gets what a servo's joint has, or it yields under load.
         """
-        if not self.fuses:
-            return
         tied = {part.target.name for tendon in spec.tendons for part in tendon.path
                 if part.type == mujoco.mjtWrap.mjWRAP_JOINT}  # fmt: skip
         tied |= {coupling.joint for coupling in followed(spec)}
@@ -286,7 +220,7 @@ class Mount:
             for actuator in spec.actuators:
                 spec.delete(actuator)
         for actuator in spec.actuators:
-            if self.fuses and is_servo(spec, actuator):
+            if is_servo(spec, actuator):
                 measure_in_joints(spec, actuator)
         followers = {coupling.joint for coupling in followed(spec)}
         for joint in spec.joints if not spec.actuators else ():
@@ -296,14 +230,16 @@ class Mount:
                 add_servo(spec, joint.name, servo.gain, servo.limit)
         for actuator in spec.actuators:
             for name in arms(spec, actuator):
-                joint = spec.joint(name)
-                if is_unranged(joint) and has_no_control_range(actuator):
+                joint, is_free = spec.joint(name), actuator.ctrllimited == UNLIMITED
+                has_control_range = not is_free and np.ptp(actuator.ctrlrange) != 0
+                if is_unranged(joint) and not has_control_range:
                     end = DEFAULT_RANGES[joint.type] / _unit(joint)
                     joint.range = [-end, end]
-                    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+                    joint.limited = LIMITED
 
     def _servo(self, joint: mujoco.MjsJoint) -> HingeServo:
-        return self.servos.slide if joint.type == LINEAR else self.servos.hinge
+        servos = self.file.servos
+        return servos.slide if joint.type == LINEAR else servos.hinge
 
 
 def _make_light(body: mujoco.MjsBody) -> None:
@@ -353,45 +289,35 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
 
 def chain(body: mujoco.MjsBody) -> list[str]:
     """Return what a body hangs on, from the root on, and itself."""
-    names: list[str] = []
-    while body.name != "world":
-        names.insert(0, body.name)
-        body = body.parent
-    return names
+    return [] if body.name == "world" else [*chain(body.parent), body.name]
 
 
 def loops(spec: mujoco.MjSpec) -> list[set[str]]:
     """Return the bodies of each loop that an equality of the model closes."""
-    loops_closed = []
+    return [
+        {*chain(spec.body(first))} ^ {*chain(spec.body(second))}
+        for equality, first, second in joined(spec)
+        if equality.active and "world" not in (first, second)
+    ]
+
+
+def joined(spec: mujoco.MjSpec) -> Iterator[tuple[mujoco.MjsEquality, str, str]]:
+    """Yield every weld and connection with the two bodies that it joins.
+
+    Raise ValueError where the model lacks one of them.
+    """
     for equality in spec.equalities:
-        if (
-            equality.type in LOOPS
-            and equality.active
-            and not is_fixed_to_world(spec, equality)
-        ):
-            first, second = (
-                set(chain(spec.body(name))) for name in ends(spec, equality)
-            )
-            loops_closed.append(first ^ second)
-    return loops_closed
-
-
-def ends(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, str]:
-    """Return the bodies that a weld or a connection joins; ValueError where the model lacks one."""
-    by_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
-    kind, find = ("site", spec.site) if by_sites else ("body", spec.body)
-    names = []
-    for name in (equality.name1, equality.name2 or "world"):
-        if (part := find(name)) is None:
-            raise ValueError(f"model: equality: found no {kind} called {name!r}")
-        names.append(part.parent.name if by_sites else part.name)
-    first, second = names
-    return first, second
-
-
-def is_fixed_to_world(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> bool:
-    """Return whether an equality fixes a body to the world."""
-    return equality.type in LOOPS and "world" in ends(spec, equality)
+        if equality.type in LOOPS:
+            by_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
+            kind, find = ("site", spec.site) if by_sites else ("body", spec.body)
+            names = equality.name1, equality.name2 or "world"
+            first, second = map(find, names)
+            if first is None or second is None:
+                missing = names[first is not None]
+                raise ValueError(f"model: equality: found no {kind} called {missing!r}")
+            if by_sites:
+                first, second = first.parent, second.parent
+            yield equality, first.name, second.name
 
 
 def is_loose(body: mujoco.MjsBody) -> bool:
@@ -408,29 +334,13 @@ def is_fixed(body: mujoco.MjsBody) -> bool:
 
 def link_of(body: mujoco.MjsBody) -> mujoco.MjsBody:
     """Return the body that moves by itself, or is at the root, and of which a body is a part."""
-    while is_fixed(body):
-        body = body.parent
-    return body
+    return link_of(body.parent) if is_fixed(body) else body
 
 
 def is_unranged(joint: mujoco.MjsJoint) -> bool:
     """Return whether a joint has no range."""
     is_auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
-    return joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or bool(
-        is_auto and joint.range[0] == joint.range[1]
-    )
-
-
-def fixed_to_world(spec: mujoco.MjSpec) -> set[str]:
-    """Return the bodies that equalities fix to the world."""
-    fixed = [one for one in spec.equalities if is_fixed_to_world(spec, one)]
-    return {name for one in fixed for name in ends(spec, one)} - {"world"}
-
-
-def has_no_control_range(actuator: mujoco.MjsActuator) -> bool:
-    """Return whether an actuator's control has no range."""
-    is_free = actuator.ctrllimited == mujoco.mjtLimited.mjLIMITED_FALSE
-    return bool(is_free or actuator.ctrlrange[0] == actuator.ctrlrange[1])
+    return joint.limited == UNLIMITED or bool(is_auto and np.ptp(joint.range) == 0)
 
 
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:

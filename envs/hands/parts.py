@@ -1,15 +1,15 @@
-"""The content of a hand's file, and what of its model it means: palm, digits, joint angles."""
+"""What a hand's file means of its model: palm, digits, joint angles."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fnmatch import filter as matching
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,122 +18,13 @@ from ..state import Array
 from ..validation import quoted, require_one_of, require_rising
 from . import model_file, mount
 from .geometry import perpendicular, placed, posed, unit
-from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
-from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
+from .hand import FOLDER, Coupling, Frame
+from .mount import Mount
+from .tables import HandFile, Names
 
 RANGE_TOLERANCE = 1e-3  # rad or m that an angle may be beyond a joint's range
-LARGEST = 1e5  # m, kg or kg m², of a body of a hand or its arm
 Angles = dict[str, float]
 """Angles by joint, rad or m."""
-Names = tuple[str, ...]
-
-
-# -- the file --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class DigitTable:
-    """One digit of [digits]."""
-
-    links: Names
-    """Links from knuckle to tip."""
-    tip: Vector
-    """Fingertip in the frame of the last link, m."""
-    palmar: Vector | tuple[Vector, ...] | None = None
-    """Palmar direction of all links, or of each."""
-    base: Vector | None = None
-    """Point on the palm where the digit begins, m."""
-    base_link: str | None = None
-    """Body in whose frame `base` is; default: the palm."""
-
-
-@dataclass(frozen=True)
-class Follows:
-    """One joint of [couplings], which is offset + ratio times its driver."""
-
-    follows: str
-    ratio: Number
-    offset: Number = 0.0
-
-
-@dataclass(frozen=True)
-class Place:
-    """The place of a point of the palm at the start, m."""
-
-    of: Vector | None = None
-    at: Vector | None = None
-
-
-@dataclass(frozen=True)
-class PitchTable:
-    """[pitch]: distances between taxels and their radii, m."""
-
-    rows: dict[str, Positive] = field(default_factory=dict)
-    column: Positive | None = None
-    radius: Positive = 2e-3
-    large_radius: Positive = 3.8e-3
-    distal_shift: Number = 0.0
-
-
-@dataclass(frozen=True)
-class Actions:
-    """[actions]: of joints, or increments of slides and of groups of digits that close."""
-
-    kind: Literal["joints", "closing"] = "joints"
-    step: Positive = CLOSING_STEP
-    groups: tuple[Names, ...] = ()
-
-
-@dataclass(frozen=True)
-class GraspTable:
-    """One [[grasp]]: where the palm's point or the slides are, and the joints."""
-
-    object_size: Positive
-    at: Vector | None = None
-    slides: Vector | None = None
-    joints: dict[str, Number] = field(default_factory=dict)
-    closing: Number | None = None
-
-
-@dataclass(frozen=True)
-class HandFile:
-    """All that a hand's file may say (docs/guides/own_hand.md)."""
-
-    model: str
-    palm: str
-    palmar: Vector
-    fingers: Vector
-    palm_point: Vector
-    digits: dict[str, DigitTable]
-    root: str = ""
-    drop: Names = ()
-    masses: dict[str, Positive] = field(default_factory=dict)
-    contacts: Literal["others", "model"] = "others"
-    palm_is_flat: bool = False
-    added_inertia: Positive = Hand.added_inertia
-    observation: Names = (
-        "joint_positions",
-        "joint_velocities",
-        "object_position",
-        "object_orientation",
-    )
-    first_joints: Names = ()
-    handed_beside: Names = ()
-    environment: dict[str, Any] = field(default_factory=dict)
-    scene: dict[str, Any] = field(default_factory=dict)
-    place: Place = Place()
-    slides: Slides = field(default_factory=Slides)
-    servos: Servos = field(default_factory=Servos)
-    ranges: dict[str, Span] = field(default_factory=dict)
-    passive: Names = ()
-    pitch: PitchTable = PitchTable()
-    couplings: dict[str, Follows] = field(default_factory=dict)
-    start: dict[str, Number] | None = None
-    start_closing: dict[str, Number] = field(default_factory=dict)
-    opened: dict[str, Number] = field(default_factory=dict)
-    closed: dict[str, Number] = field(default_factory=dict)
-    actions: Actions = Actions()
-    grasp: tuple[GraspTable, ...] = ()
 
 
 class Digit(NamedTuple):
@@ -166,17 +57,8 @@ class Parts:
     @cached_property
     def unread(self) -> Mount:
         """The mount as far as the file alone says it."""
-        return Mount(
-            model=_model_file(self.file.model, self.folder),
-            palm=self.file.palm,
-            root=self.file.root,
-            fuses=self.is_own,
-            drop=self.file.drop,
-            masses=self.file.masses,
-            keeps_contacts=self.file.contacts == "model",
-            slides=self.file.slides,
-            servos=self.file.servos,
-        )
+        model = _model_file(self.file.model, self.folder)
+        return Mount(self.file, model, fuses=self.is_own)
 
     @cached_property
     def raw(self) -> mujoco.MjSpec:
@@ -195,12 +77,6 @@ class Parts:
                     f"body {joint.parent.name!r}: found {kind} joint {joint.name!r}, "
                     "allowed hinges and slides that have a name"
                 )
-            low, high = joint.range.tolist()
-            if not -math.inf < low <= high < math.inf:
-                raise ValueError(
-                    f"joint {joint.name!r}: found the range {low:g} to {high:g}, allowed finite "
-                    "numbers, the lower one first"
-                )
         if empty := [body.name for body in mount.weightless(spec)]:
             raise ValueError(
                 "model: found links without mass or shape; leave them out: "
@@ -216,7 +92,7 @@ class Parts:
             require_rising(span, f"ranges.{joint}")
         return replace(
             self.unread,
-            palm=self.palm_frame.link,
+            carrying=self.palm_frame.link,
             ranges=ranges,
             couplings=self.file_couplings,
             keeps_servos=not self.replaced,
@@ -224,8 +100,8 @@ class Parts:
         )
 
     @cached_property
-    def misfits(self) -> tuple[Names, Names]:
-        """Actuators of the model that are no position servos, and those of joints that have one."""
+    def misfits(self) -> dict[str, list[str]]:
+        """Actuators of the model, by why the library's servos replace them all."""
         others, second, driven = list[str](), list[str](), set[str]()
         for actuator in self.raw.actuators:
             joints = mount.arms(self.raw, actuator).keys()
@@ -234,12 +110,12 @@ class Parts:
             elif joints & driven:
                 second.append(actuator.name)
             driven |= joints
-        return tuple(others), tuple(second)
+        return {"no position servos": others, "on joints that have one": second}
 
     @property
     def replaced(self) -> bool:
         """True where misfits are among the actuators: all joints get the library's servos."""
-        return any(self.misfits)
+        return any(self.misfits.values())
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
@@ -270,19 +146,8 @@ class Parts:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled `spec`; ValueError for a body that is nowhere near, or no real one."""
-        model = model_file.compiled(self.spec)
-        figures = [model.body_pos, model.body_mass[:, None], model.body_inertia]
-        names = ("position in m", "mass in kg", "inertia in kg m²")
-        for what, values in zip(names, figures, strict=True):
-            wrong = np.flatnonzero(~(np.abs(values) < LARGEST).all(axis=1))
-            if len(wrong):
-                found = ", ".join(f"{value:g}" for value in values[wrong[0]])
-                raise ValueError(
-                    f"body {model.body(wrong[0]).name!r}: found the {what} {found}, allowed less than "
-                    f"{LARGEST:g}"
-                )
-        return model
+        """The compiled `spec`."""
+        return model_file.compiled(self.spec)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -407,9 +272,9 @@ class Parts:
 
     def way(self, joint: str) -> float:
         """Return how far it goes from open to closed, by itself or following another, rad or m."""
-        opened = self.followed(self.opened) | self.opened
-        closed = self.followed(self.closed) | self.closed
-        return closed.get(joint, 0.0) - opened.get(joint, 0.0)
+        ends = (self.followed(ends) | ends for ends in (self.opened, self.closed))
+        opened, closed = (angles.get(joint, 0.0) for angles in ends)
+        return closed - opened
 
     def at(self, share: float) -> Angles:
         """Return the angles at a share of the way from open to closed."""

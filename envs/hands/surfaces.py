@@ -17,9 +17,9 @@ from ..state import Array
 from ..validation import require_known
 from . import model_file, mount
 from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
-from .hand import SEGMENTS, Frame, Pitch, Point, Sensors, Surface
-from .model_file import Spot
-from .parts import DigitTable, Parts
+from .hand import RADIUS, SEGMENTS, Frame, Pitch, Point, Sensors, Surface
+from .parts import Parts
+from .tables import DigitTable
 
 PARALLEL = 0.99  # cosine
 OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
@@ -94,7 +94,7 @@ def _segment(
         )
     is_capsule = [geom.kind for geom in geoms] == ["capsule"]
     if is_capsule:
-        half = np.array(geoms[0].rotation)[:, 2] * geoms[0].size[1]
+        half = geoms[0].turn.apply([0.0, 0.0, geoms[0].size[1]])
         ends = geoms[0].position + np.outer([-1.0, 1.0], half)
         ends = np.round(ends, NANO)  # as a model's file has it
         ends = ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")]
@@ -216,30 +216,13 @@ def sensors(parts: Parts) -> Sensors:
     return Sensors(tuple(points), tuple(left_out))
 
 
-def _spots(parts: Parts) -> Iterator[Spot]:
+def _spots(parts: Parts) -> Iterator[Point]:
     """Yield every touch sensor of the model, whatever it lies on (`LOOKED_FOR`)."""
-    whole, kinds = model_file.read(parts.unread.model), mujoco.mjtSensor
-    touching = {
-        each.objname for each in whole.sensors if each.type == kinds.mjSENS_TOUCH
-    }
+    whole, touch = model_file.read(parts.unread.model), mujoco.mjtSensor.mjSENS_TOUCH
+    touching = {each.objname for each in whole.sensors if each.type == touch}
     for site in map(parts.model.site, (site.name for site in parts.spec.sites)):
         if site.name in touching:
             link = parts.model.body(site.bodyid[0]).name
-            yield Spot(site.name, link, site.pos, site.size[0])
-    for name in parts.welded:
-        if SENSORS.search(name):
-            yield Spot(name, name, ORIGIN)
-    tactile = [each for each in whole.sensors if each.type == kinds.mjSENS_TACTILE]
-    model = model_file.compiled(whole) if tactile else parts.model
-    for sensor in tactile:
-        geom, mesh, turn = (
-            model.geom(sensor.refname),
-            model.mesh(sensor.objname),
-            np.zeros(9),
-        )
-        mujoco.mju_quat2Mat(turn, geom.quat)
-        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
-        link = model.body(geom.bodyid[0]).name
-        for number, place in enumerate(geom.pos + corners @ turn.reshape(3, 3).T):
-            yield Spot(f"{sensor.name}[{number}]", link, place)
-    yield from model_file.tactile(parts.unread.model)
+            yield Point(link, site.pos, (), site.size[0], site.name)
+    for name in filter(SENSORS.search, parts.welded):
+        yield Point(name, ORIGIN, (), RADIUS, name)

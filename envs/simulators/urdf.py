@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
 
+from ..hands.geometry import mesh_points
 from ..state import Array
 
 # Bullet reads lines, and long ones not to their end.
@@ -128,8 +129,7 @@ def _collision(model: mujoco.MjModel, geom: int, folder: Path) -> str:
 
 def _hull(model: mujoco.MjModel, mesh: int) -> str:
     """Return a mesh's convex hull, without the skin that Bullet adds, as the text of an OBJ file."""
-    first, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    points = model.mesh_vert[first : first + n].astype(float)
+    points = mesh_points(model, mesh)
     hull = ConvexHull(points)
     middle = points[hull.vertices].mean(axis=0)
     planes = hull.equations + np.array([0.0, 0.0, 0.0, BULLETS_SKIN])

@@ -23,7 +23,8 @@ from ..envs import validation
 from ..envs.hands import mount
 from ..envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
 from ..envs.hands.hand import DIGITS
-from ..envs.hands.parts import Angles, HandFile, Parts, between
+from ..envs.hands.parts import Angles, Parts, between
+from ..envs.hands.tables import HandFile
 from ..envs.state import Array
 
 WORDS = {
@@ -163,24 +164,7 @@ class Guess:
         beside = [each for each in bases.get(carrying, ()) if each.name != link]
         if beside and not any(map(branches, beside)):
             link = carrying
-        palm = mode(body.parent.name for body in bases[link])
-        inside = {part.name for part in spec.body(palm).find_all("body")}
-        ends = (
-            body for bodies in bases.values() for body in bodies if not branches(body)
-        )
-        n_digits = Counter(end.parent.name for end in ends)
-        least = max(2, n_digits[palm] - 1)
-        others = [
-            name
-            for name in n_digits
-            if name not in {palm, *inside} and n_digits[name] >= least
-        ]
-        if others:
-            names = ", ".join([palm, *others])
-            self.notes.append(
-                f"palm: found {len(others) + 1} ({names}), took the first; --palm names another"
-            )
-        return palm
+        return mode(body.parent.name for body in bases[link])
 
     # -- the digits, and where they go -------------------------------------------------------
 

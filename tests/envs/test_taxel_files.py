@@ -60,7 +60,7 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "complaint"),
     [
-        ("p.csv", "x,y,z,radius\n-6,-3,0,1.5\n", "in mm? Then divide by 1000"),
+        ("p.csv", "x,y,z,radius\n-6,-3,0,1.5\n", "taxel 1.position: found -6.0, allowed [-1, 1]"),
         ("p.csv", "x,y\n0,0\n", "found the columns x, y, expected x, y, z and, where"),
         ("p.json", '{"taxels": []}', 'expected [{"link_name": NAME, "probes":'),
     ],
