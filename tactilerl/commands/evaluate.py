@@ -19,7 +19,7 @@ from ..envs import validation
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
-from ..runs import evaluation, policies
+from ..runs import evaluation, policies, recording
 from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
@@ -51,6 +51,10 @@ class _CommandFlags:
     json: bool = False
     """Print JSON instead of a table, with what became of each episode: `render RUN --episode N` films
     it."""
+    record: Path | None = None
+    """CSV file for every step of the episodes: what was observed, done and earned, in named columns."""
+    overwrite: bool = False
+    """Replace a record that is there."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,8 @@ def main(args: list[str]) -> int:
     prog = "tactilerl evaluate"
     read = flags.parse(EvaluateFlags, args, prog, ABOUT)
     command: _CommandFlags = read.command
+    if command.record:
+        recording.require_record(command.record, command.overwrite)
     trained = policies.read_run(command.run)
     run, scene = trained.config, trained.config.scene
     changed: dict[str, Any] = {}
@@ -114,8 +120,11 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     shown = progress("playing", command.episodes, not command.json)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
-        with closing(workers), shown as tick:
+        control_dt = run.scene.control_dt if run.scene else math.nan
+        recorded = recording.recorder(command.record, workers.env, policy, control_dt)
+        with closing(workers), shown as tick, recorded as record:
             for episode in workers.play(task, range(command.episodes)):
+                record(len(rows), episode)
                 rows.append(evaluation.row(episode))
                 tick()
     return rows
