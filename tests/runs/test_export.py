@@ -2,30 +2,29 @@
 
 import csv
 import json
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.runs import evaluation, policies
+from tactilerl.runs import policies
 
-from one_line import fails_with, printed
+from one_line import fails_with, printed, python
 
 ROOT = Path(__file__).resolve().parents[2]
 HANDOVER = ROOT / "examples/policies/handover_touch"
 PPO = ["--hidden", "16", "--steps-per-epoch", "20", "--n-passes", "1"]
 HER = ["--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "1", "--n-batches", "2"]
 HER += ["--n-test-rollouts", "0", "--batch-size", "32"]
-SHORT = ["--simulator", "mujoco", "--max-episode-steps", "5", "--total-timesteps", "20"]
+ONE = ["--simulator", "mujoco", "--total-timesteps", "20"]
+SHORT = ["--max-episode-steps", "5"]
 RUNS = {
-    "lift": ["--env", "shadow", "--layout", "4", *PPO],
-    "slides and fingers": ["--env", "mpl", "--recipe", "robust", "--touch-rule", "force", *PPO],
+    "lift": ["--env", "shadow", "--layout", "4", *PPO, *SHORT],
+    "slides and fingers": ["--env", "mpl", "--recipe", "robust", "--touch-rule", "force", *PPO, *SHORT],
     "fingers": ["--scene", "handover", "--actions", "fingers", "--recipe", "steady", *PPO],
-    "goals": ["--env", "shadow", "--task", "reach-goal", "--observe-targets", "--history", "3", *HER],
-    "scaled": ["--env", "mpl", "--task", "reach-goal", "--recipe", "scaled", *HER],
+    "goals": [*"--env shadow --task reach-goal --observe-targets --history 3".split(), *HER, *SHORT],
+    "scaled": ["--env", "mpl", "--task", "reach-goal", "--recipe", "scaled", *HER, *SHORT],
     "shipped": HANDOVER,
 }
 pytestmark = pytest.mark.usefixtures("in_tmp")
@@ -46,28 +45,99 @@ def test_the_graph_does_what_the_policy_does(name, tmp_path):
     run = RUNS[name]
     if run != HANDOVER:
         run = tmp_path / "run"
-        assert main(["train", *RUNS[name], *SHORT, "--out", str(run)]) == 0
+        assert main(["train", *RUNS[name], *ONE, "--out", str(run)]) == 0
     session, about = opened(run, tmp_path / "policy.onnx")
     trained = policies.read_run(run)
+    lowest, highest = np.array([*about["targets"].values()]).T
     with closing(trained.config.make_env()) as env:
-        assert about["control_dt"] == env.config.control_dt
         names, outputs = env.observation_names(), [output.name for output in session.get_outputs()]
-        inputs = {i.name: i.shape for i in session.get_inputs()}
+        shapes = {i.name: i.shape for i in session.get_inputs()}
         for seed in range(2):
             obs, _ = env.reset(seed=seed)
-            state = {name: np.full(shape, np.nan, np.float32) for name, shape in inputs.items()}
-            if "last_targets" in inputs:  # else an action says where to go, not how far
-                state["last_targets"] = np.float32(about["start_targets"])
+            inputs = {name: np.full(shape, np.nan, np.float32) for name, shape in shapes.items()}
+            found = {"targets": about["start_targets"]}
             for _ in range(6):
-                told = dict(zip(names, obs["observation"], strict=True)) | obs
-                sensors = {name: told[name] for name in inputs if name in told}
-                given = {name: np.float32(value).reshape(inputs[name]) for name, value in sensors.items()}
-                found = dict(zip(outputs, session.run(None, state | given), strict=True))
+                known = dict(zip(names, obs["observation"], strict=True)) | obs
+                known |= {f"last_{name}": value for name, value in found.items()}
+                for entry in inputs.keys() & known.keys():
+                    inputs[entry][:] = known[entry]
+                found = dict(zip(outputs, session.run(None, inputs), strict=True))
                 action = trained.policy.act(obs)
                 targets = env.hand.action_map(np.float64(action), env.state.targets)
                 assert np.abs(found["action"] - action).max() < 1e-5
                 assert np.abs(found["targets"] - targets).max() < 1e-5
-                bounds = np.array([*about["targets"].values()]).T
-                assert (bounds[0] - 1e-6 <= targets).all() and (targets <= bounds[1] + 1e-6).all()
-                state |= {f"last_{n}": value for n, value in found.items() if f"last_{n}" in inputs}
+                assert (lowest - 1e-6 <= targets).all()
+                assert (targets <= highest + 1e-6).all()
                 obs, *_ = env.step(action)
+
+
+def test_the_graph_says_what_it_is_fed(tmp_path):
+    session, about = opened(HANDOVER, tmp_path / "policy.onnx")
+    inputs = [i.name for i in session.get_inputs()]
+    assert inputs == [*about["inputs"], "last_targets", "last_readings"]
+    assert about["control_dt"] == 0.1
+    assert about["actions"] == ["closing of the hand"]
+    assert about["inputs"]["position of index_MCP"] == "rad"
+    assert about["inputs"]["taxel index.distal[+0,+0]"] == "N, or 0 and 1"
+    assert about["targets"]["index_MCP"] == pytest.approx([0.314, 1.57])
+
+
+def test_the_control_loop_moves_a_hand_behind_a_socket(tmp_path):
+    """As `evaluate` does: it holds what it is handed from the same start."""
+    opened(HANDOVER, tmp_path / "policy.onnx")
+    done = python(str(ROOT / "examples/control_loop.py"), "policy.onnx", "--seed", "236135986")
+    assert done.stdout.split("\n")[-2:] == ["success", ""], done.stderr
+
+
+def test_a_record_has_every_step_in_named_columns(capsys):
+    args = ["evaluate", HANDOVER, "--episodes", "2", "--workers", "1"]
+    each = json.loads(printed(capsys, [*args, "--json", "--record", "steps.csv"]))["each"]
+    rows = [*csv.DictReader(Path("steps.csv").open())]
+    assert len(rows) == sum(episode["length"] for episode in each)
+    for episode in each:
+        mine = [row for row in rows if row["episode_index"] == str(episode["episode"])]
+        assert [row["frame_index"] for row in mine] == [*map(str, range(episode["length"]))]
+        assert float(mine[3]["timestamp"]) == pytest.approx(0.3)
+        assert sum(float(row["next.reward"]) for row in mine) == pytest.approx(episode["return"])
+        assert [row["next.done"] for row in mine] == ["0"] * (len(mine) - 1) + ["1"]
+        assert float(mine[-1]["next.success"]) == episode["success"]
+    trained = policies.read_run(HANDOVER)
+    with closing(trained.config.make_env()) as env:
+        obs, _ = env.reset(seed=each[1]["seed"])
+        for row in mine:
+            for name, value in zip(env.observation_names(), obs["observation"], strict=True):
+                assert name.endswith(")") or np.float32(row[name]) == value
+            action = trained.policy.act(obs)
+            assert np.float32(row["action closing of the hand"]) == action
+            obs, *_ = env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["export", HANDOVER, "--out", "x.pb"], ["--out: found 'x.pb'", ".onnx"]),
+        (["export", HANDOVER, "--out", "mine.onnx"], ["is there already", "--overwrite"]),
+        (["export", HANDOVER, "--out", "no/x.onnx"], ["no/x.onnx"]),
+        (["export", "nowhere", "--out", "x.onnx"], ["'nowhere' is not a run folder"]),
+        (["export", "begun", "--out", "x.onnx"], ["checkpoint.pt: missing"]),
+        (["export", "toy", "--out", "x.onnx"], ["found a run on 'lqr', allowed runs of hands"]),
+        (["evaluate", HANDOVER, "--record", "x.xls"], ["--record: found 'x.xls'", ".csv"]),
+        (["evaluate", HANDOVER, "--record", "mine.csv"], ["is there already", "--overwrite"]),
+        (["evaluate", "toy", "--record", "x.csv"], ["found none, allowed a name for each of the 2"]),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(args, words, toy, capsys):
+    for name in ("mine.onnx", "mine.csv"):
+        Path(name).write_text("mine")
+    fails_with(capsys, args, *words)
+    assert Path("mine.onnx").read_text() == Path("mine.csv").read_text() == "mine"
+    assert not [*Path().glob("x*")]
+
+
+@pytest.fixture
+def toy():
+    """A run that is not of a hand, and one that was killed before its first checkpoint."""
+    toy = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
+    assert main([*toy, "--total-timesteps", "60", "--out", "toy"]) == 0
+    Path("begun").mkdir()
+    Path("begun/config.json").write_bytes((HANDOVER / "config.json").read_bytes())
