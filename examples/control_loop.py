@@ -28,16 +28,16 @@ def control(hand: socket.socket, file: str) -> None:
     # What is not a number was not read yet.
     inputs = {i.name: np.full(i.shape, np.nan, "f4") for i in policy.get_inputs()}
     outputs = [output.name for output in policy.get_outputs()]
-    last = {"targets": about["start_targets"]}
+    known = about["start"]
     for line in hand.makefile(encoding="utf-8"):
-        known = {f"last_{name}": value for name, value in last.items()}
         for name, value in (known | json.loads(line)).items():
             if name in inputs:
                 inputs[name][:] = value
         if missing := [name for name in about["inputs"] if np.isnan(inputs[name])]:
             raise SystemExit(f"the hand stays as it is: no reading of {missing}")
-        last = dict(zip(outputs, policy.run(None, inputs), strict=True))
-        targets = dict(zip(about["targets"], last["targets"].tolist(), strict=True))
+        found = dict(zip(outputs, policy.run(None, inputs), strict=True))
+        known = {f"last_{name}": value for name, value in found.items()}
+        targets = dict(zip(about["targets"], found["targets"].tolist(), strict=True))
         hand.sendall(json.dumps(targets).encode() + b"\n")
 
 

@@ -70,8 +70,6 @@ def main(args: list[str]) -> int:
     prog = "tactilerl evaluate"
     read = flags.parse(EvaluateFlags, args, prog, ABOUT)
     command: _CommandFlags = read.command
-    if command.record:
-        recording.require_record(command.record, command.overwrite)
     trained = policies.read_run(command.run)
     run, scene = trained.config, trained.config.scene
     changed: dict[str, Any] = {}
@@ -120,8 +118,8 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     shown = progress("playing", command.episodes, not command.json)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
-        control_dt = run.scene.control_dt if run.scene else math.nan
-        recorded = recording.recorder(command.record, workers.env, policy, control_dt)
+        file = command.record, command.overwrite
+        recorded = recording.recorder(*file, workers.env, policy)
         with closing(workers), shown as tick, recorded as record:
             for episode in workers.play(task, range(command.episodes)):
                 record(len(rows), episode)

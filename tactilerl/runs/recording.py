@@ -2,58 +2,36 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
-import io
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..algos.policy import Policy, action_size, flat_parts
+from ..algos.policy import Policy
 from ..algos.rollout import Episode
+from ..envs.grasp import GraspEnv
 from ..errors import InputError
 from ..files import replacing, require_new
-
-ENDING = ".csv"
-
-
-def require_record(path: Path, overwrite: bool) -> None:
-    """Raise InputError where no record can be written to `path`."""
-    if path.suffix.lower() != ENDING:
-        raise InputError(
-            f"--record: found {path.name!r}, allowed names that end in {ENDING}"
-        )
-    require_new(path, overwrite)
 
 
 def sensed(env: Any) -> dict[str, int]:
     """Return the names of an observation's newest entries, with their indices.
 
-    InputError where the environment does not name them all.
+    InputError where the environment is not one of a hand, whose sensors have names.
     """
-    size = math.prod(flat_parts(env.observation_space)["observation"].shape)
-    names: list[str] = []
-    if env.has_wrapper_attr("observation_names"):
-        names = env.get_wrapper_attr("observation_names")()
-    if len(names) != size:
+    if not isinstance(env, GraspEnv):
         raise InputError(
-            f"observation_names of the environment: found {len(names) or 'none'}, allowed a name "
-            f"for each of the {size} entries that it observes"
+            f"env: found {env}, allowed runs of hands: no sensor has a name here"
         )
-    return {name: index for index, name in enumerate(names) if "(t-" not in name}
-
-
-def action_names(env: Any) -> list[str]:
-    """Return the names of an action's entries: a hand's, or their numbers."""
-    if env.has_wrapper_attr("hand"):
-        return [*env.get_wrapper_attr("hand").action_names]
-    return [*map(str, range(action_size(env.action_space)))]
+    named = enumerate(env.observation_names())
+    return {name: index for index, name in named if "(t-" not in name}
 
 
 @contextmanager
 def recorder(
-    path: Path | None, env: Any, policy: Policy, control_dt: float
+    path: Path | None, overwrite: bool, env: GraspEnv, policy: Policy
 ) -> Iterator[Callable[[int, Episode[Any]], None]]:
     """Give a function that adds an episode, with its number, to a new CSV file, if there is one.
 
@@ -63,24 +41,23 @@ def recorder(
     if path is None:
         yield lambda *_: None
         return
+    require_new(path, overwrite, ".csv")
     names = sensed(env)
-    actions = [f"action {name}" for name in action_names(env)]
-    last = ["next.reward", "next.done", "next.success"]
+    header = ["episode_index", "frame_index", "timestamp", *names]
+    header += [f"action {name}" for name in env.hand.action_names]
     with replacing(path) as file:
-        text = io.TextIOWrapper(file, "utf-8", newline="", write_through=True)
-        writer = csv.writer(text, lineterminator="\n")
-        first = ["episode_index", "frame_index", "timestamp"]
-        writer.writerow([*first, *names, *actions, *last])
+        writer = csv.writer(codecs.getwriter("utf-8")(file), lineterminator="\n")
+        writer.writerow([*header, "next.reward", "next.done", "next.success"])
 
         def add(number: int, episode: Episode[Any]) -> None:
             for step, reward in enumerate(episode.rewards):
                 view = episode.obs[step]
                 told = getattr(view, "observation", view)[[*names.values()]]
-                action = policy.to_env(episode.actions[step]).ravel()
-                time = round(step * control_dt, 6)
-                is_done = step + 1 == len(episode)
-                success = episode.success * is_done  # nan where nobody says
-                outcome = reward, int(is_done), success
-                writer.writerow([number, step, time, *told, *action, *outcome])
+                done = policy.to_env(episode.actions[step])
+                is_last = step + 1 == len(episode)
+                time = round(step * env.config.control_dt, 6)
+                success = int(is_last and episode.success)
+                row = number, step, time, *told, *done, reward, int(is_last), success
+                writer.writerow(row)
 
         yield add
