@@ -7,7 +7,6 @@ At every control step the hand sends a line of JSON, what each sensor reads by i
 one back: where each joint is to go. Needs 'tactilerl[export]'; the loop itself only onnxruntime.
 """
 
-# %%
 import argparse
 import json
 import multiprocessing
@@ -18,7 +17,7 @@ import numpy as np
 import onnxruntime
 
 
-# %% The control loop, as it would run beside a real hand
+# The control loop, as it would run beside a real hand
 def control(hand: socket.socket, file: str) -> None:
     """Answer what the hand sends, until it hangs up. The hand has the clock."""
     policy = onnxruntime.InferenceSession(file)
@@ -41,7 +40,7 @@ def control(hand: socket.socket, file: str) -> None:
         hand.sendall(json.dumps(targets).encode() + b"\n")
 
 
-# %% The hand: yours sends what its sensors read; this one is simulated
+# The hand: yours sends what its sensors read; this one is simulated
 def simulated_hand(port: int, seed: int) -> None:
     """Play one episode of a handover, and say how it ended."""
     import tactilerl
@@ -63,7 +62,7 @@ def simulated_hand(port: int, seed: int) -> None:
     print("success" if info["is_success"] else "no success")
 
 
-# %% Both together
+# Both together
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("policy", help="file that `tactilerl export` wrote")
