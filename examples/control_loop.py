@@ -12,6 +12,7 @@ import json
 import multiprocessing
 import socket
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -45,7 +46,7 @@ def simulated_hand(port: int, seed: int) -> None:
     """Play one episode of a handover, and say how it ended."""
     import tactilerl
 
-    env = tactilerl.make(scene="handover")
+    env: Any = tactilerl.make(scene="handover")
     with socket.create_connection(("localhost", port)) as loop, closing(env):
         answers = loop.makefile(encoding="utf-8")
         obs, info = env.reset(seed=seed)

@@ -114,7 +114,8 @@ def _null_for_nan(value: float) -> float | None:
 
 def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str, Any]]:
     """Play the episodes of an evaluation; return a row for each."""
-    rows, task = [], evaluation.task(policy, command.stochastic)
+    rows: list[dict[str, Any]] = []
+    task = evaluation.task(policy, command.stochastic)
     shown = progress("playing", command.episodes, not command.json)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)

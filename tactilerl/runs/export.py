@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,6 @@ UNITS = {
 }
 """Units of what is sensed, by how its name begins."""
 OUTPUTS = "action", "targets", "readings"
-_tensor = partial(torch.as_tensor, dtype=torch.float32)
 
 
 class Controller(nn.Module):
@@ -49,7 +47,8 @@ class Controller(nn.Module):
     def __init__(self, policy: Policy, env: GraspEnv) -> None:
         """Take a policy and an environment that it fits."""
         super().__init__()
-        self.network, self.scale = policy.network, policy.inputs
+        self.network = policy.network
+        self.scale: Any = policy.inputs
         self.names, hand = [*sensed(env)], env.hand
         # What was asked for follows from the last targets and is no sensor.
         self.asked = [name for name in self.names if name.startswith("asked for:")]
@@ -68,12 +67,12 @@ class Controller(nn.Module):
             targets = still
         zero = moves.commands(0 * targets)  # commands are linear in targets
         slope = moves.commands(np.eye(len(targets))) - zero
-        self.arrays = [*map(_tensor, (still, gain, *limits, zero, slope))]
-        goal: Any = env.observation_space["desired_goal"]
-        goal = np.nan_to_num(goal.low, neginf=0.0)
+        self.arrays = [*map(torch.Tensor, (still, gain, *limits, zero, slope))]
+        space: Any = env.observation_space
+        goal = np.nan_to_num(space["desired_goal"].low, neginf=0.0)
         start = {"last_targets": targets.tolist(), "desired_goal": goal.tolist()}
         self.inputs = dict.fromkeys(sensors, torch.zeros(1))
-        self.inputs |= {name: _tensor(values) for name, values in start.items()}
+        self.inputs |= {name: torch.Tensor(values) for name, values in start.items()}
         nothing = torch.full((env.config.history, len(self.names)), torch.nan)
         self.inputs["last_readings"] = nothing
         self.about = {
@@ -90,7 +89,7 @@ class Controller(nn.Module):
         given = dict(zip(self.inputs, inputs, strict=True))
         still, gain, low, high, zero, slope = self.arrays
         last, before = given["last_targets"], given["last_readings"][:-1]
-        asked = (zero + last @ slope).split(1)
+        asked = torch.split(zero + last @ slope, 1)
         given |= zip(self.asked, asked, strict=False)
         now = torch.cat([given[name] for name in self.names])
         # Nothing was read before an episode, in which all was as at its start.
@@ -119,7 +118,8 @@ def export(run: Path, out: Path) -> None:
     trained = read_run(run)
     with input_errors(), closing(trained.config.make_env()) as env:
         controller = Controller(trained.policy, env)
-    inputs, file = controller.inputs, io.BytesIO()
+    inputs = controller.inputs
+    file: Any = io.BytesIO()
     torch.onnx.export(
         controller,
         (*inputs.values(),),

@@ -31,7 +31,7 @@ def sensed(env: Any) -> dict[str, int]:
 
 @contextmanager
 def recorder(
-    path: Path | None, overwrite: bool, env: GraspEnv, policy: Policy
+    path: Path | None, overwrite: bool, env: Any, policy: Policy
 ) -> Iterator[Callable[[int, Episode[Any]], None]]:
     """Give a function that adds an episode, with its number, to a new CSV file, if there is one.
 
