@@ -87,11 +87,16 @@ def as_json(data: Any) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def require_new(path: Path, overwrite: bool = False) -> None:
+def require_new(path: Path, overwrite: bool = False, ending: str = "") -> None:
     """Raise InputError where something is at `path` that a command may not replace.
 
     That is anything but an empty folder, unless it may `overwrite`; a link or a device in any case.
+    A name has to have the `ending`.
     """
+    if not path.name.endswith(ending):
+        raise InputError(
+            f"found {path.name!r} as a new file, allowed names that end in {ending}"
+        )
     with writable(path):
         is_folder = path.is_dir() and not path.is_symlink()
         is_there = any(path.iterdir()) if is_folder else os.path.lexists(path)

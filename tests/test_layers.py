@@ -25,6 +25,7 @@ ALLOWED = {
     ),
     "mujoco_warp": ("envs/simulators/warp.py",),
     "warp": ("envs/simulators/warp.py",),
+    "onnx": ("tactilerl/runs/export.py",),
     "tyro": ("tactilerl/terminal/", "tactilerl/commands/"),
 }
 

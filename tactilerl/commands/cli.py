@@ -18,6 +18,7 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs
     "train": "train a policy (start here)",
     "evaluate": "play a trained policy: success rate with its confidence interval",
     "render": "draw a grasp with its taxels, or film a trained run",
+    "export": "write a trained policy as an ONNX graph, for a real hand",
     "env": "describe an environment, and check which of its taxels can fire",
     "design": "choose where a hand's few taxels should go, before training",
     "gate": "check with scripted hands whether touch can help in a scene",

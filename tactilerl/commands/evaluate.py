@@ -19,7 +19,7 @@ from ..envs import sensors, validation
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
-from ..runs import evaluation, policies
+from ..runs import evaluation, policies, recording
 from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
@@ -51,6 +51,10 @@ class _CommandFlags:
     json: bool = False
     """Print JSON instead of a table, with what became of each episode: `render RUN --episode N` films
     it."""
+    record: Path | None = None
+    """CSV file for every step of the episodes: what was observed, done and earned, in named columns."""
+    overwrite: bool = False
+    """Replace a record that is there."""
 
 
 @dataclass(frozen=True)
@@ -113,12 +117,16 @@ def _null_for_nan(value: float) -> float | None:
 
 def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str, Any]]:
     """Play the episodes of an evaluation; return a row for each."""
-    rows, task = [], evaluation.task(policy, command.stochastic)
+    rows: list[dict[str, Any]] = []
+    task = evaluation.task(policy, command.stochastic)
     shown = progress("playing", command.episodes, not command.json)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
-        with closing(workers), shown as tick:
+        file = command.record, command.overwrite
+        recorded = recording.recorder(*file, workers.env, policy)
+        with closing(workers), shown as tick, recorded as record:
             for episode in workers.play(task, range(command.episodes)):
+                record(len(rows), episode)
                 rows.append(evaluation.row(episode))
                 tick()
     return rows

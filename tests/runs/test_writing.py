@@ -39,6 +39,8 @@ WRITERS = {
     "x.tar.gz": lambda name, *more: main(["study", "collect", "study", "--out", name, *more]),
     "x.png": lambda name, *more: main(["render", "--pose", "start", "--out", name, *more]),
     "x.mp4": lambda name, *more: main(["render", "hand", "--episodes", "1", "--video", name, *more]),
+    "x.csv": lambda name, *more: main(["evaluate", "hand", "--episodes", "1", "--record", name, *more]),
+    "x.onnx": lambda name, *more: main(["export", "hand", "--out", name, *more]),
     "report/report.html": lambda name, *more: main(
         ["study", "report", "study", "--out", "report", *more]
     ),
