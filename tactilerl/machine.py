@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, TypedDict
@@ -51,6 +52,7 @@ def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
     }
 
 
+@cache
 def _versions() -> dict[str, str]:
     """Return the versions of Python, this package and those it uses, where installed."""
     result = {"tactilerl": __version__, "python": platform.python_version()}
@@ -62,6 +64,7 @@ def _versions() -> dict[str, str]:
     return result
 
 
+@cache
 def _commit(folder: Path) -> str | None:
     """Return the commit of the repository that tracks this package in `folder`.
 
