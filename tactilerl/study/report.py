@@ -27,7 +27,7 @@ from .pairs import ALPHA, Verdict
 TEMPLATE = "report.html.j2"
 MEANS = {
     "area": "mean success",
-    "final": "final success",
+    "last": "success in the last fifth",
     "converged": "converged success",
     "test": "tested success",
 }
@@ -218,7 +218,7 @@ def measures(result: SetupResult) -> Table:
         row = {"Setting": setting, "Group": result.setup.label(name)}
         rows.append({**row, "Runs": str(len(group.seeds)), **means})
     note = (
-        "Mean of the runs with 95 % interval. Mean success: over the run; final: over its last tenth; "
+        "Mean of the runs with 95 % interval. Mean success: over the run; "
         "converged: the level where a run spends most of its epochs."
     )
     if is_tested:
