@@ -309,7 +309,7 @@ def _start(env: Env, workers: int | None) -> vector.Workers:
                 f"workers: found {workers} with one environment, allowed with an id or a function "
                 "that makes environments"
             )
-        return vector.Workers([vector.LocalPlayer(env)], env)
+        return vector.Workers(env)
     make = partial(envs.make, env) if isinstance(env, str) else env
     if not callable(make):
         raise ValueError(

@@ -49,8 +49,7 @@ def main(args: list[str]) -> int:
     with input_errors():
         with closing(GraspEnv(read.env, scene)) as env:
             content = _content(read.env, env)
-            player = vector.Workers([vector.LocalPlayer(env)], env)
-            content["notes"] += note_of_standing_still(player.play)
+            content["notes"] += note_of_standing_still(vector.Workers(env).play)
         check = None
         if read.check:
             if tasks.TASKS[scene.task].giver is None:

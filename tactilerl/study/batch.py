@@ -33,7 +33,7 @@ from ..algos.mpi import Communicator
 from ..algos.policy import flat_size
 from ..envs import layouts, tasks
 from ..envs.batch import BY_GROUP, BatchEnv, require_batched
-from ..errors import InputError, extra, input_errors
+from ..errors import InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
@@ -64,10 +64,10 @@ def require_device() -> None:
     """Raise InputError naming what is missing for `--on gpu`."""
     if device() == "loop":
         return
-    with extra("gpu"):
-        for name in ("mujoco_warp", "warp"):
-            if find_spec(name) is None:
-                raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+    if find_spec("mujoco_warp") is None:  # which needs warp itself
+        raise InputError(
+            "--on gpu: found no mujoco_warp, which this needs: pip install 'tactilerl[gpu]'"
+        )
     if not torch.cuda.is_available():
         raise InputError(
             f"--on gpu: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "

@@ -21,11 +21,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import filelock
-import numpy as np
 
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
-from ..envs import hands, layouts, plugins
+from ..envs import layouts, plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
 from ..files import no_link
 from ..runs.config import RunConfig, from_dict
@@ -36,7 +35,7 @@ from .grid import Run
 from .records import Record, State, StudyFiles
 
 ATTEMPTS = 2
-LOOK_EVERY = 2.0  # s between looks at how far runs are
+LOOK_EVERY = 5.0  # s between looks at how far runs are
 WORKER_WAIT = (
     5.0  # s until busy runs are asked for again: a killed worker's run ends meanwhile
 )
@@ -133,13 +132,9 @@ def _require_same_layout(copy: Path, config: RunConfig) -> None:
     if not (file and file.is_file() and copy.is_file()):
         return
     with input_errors():
-        hand = hands.get(config.run.env)
-        made, found = (layouts.load(str(path)).place(hand) for path in (copy, file))
-    was, now = (
-        np.column_stack([taxels.positions, taxels.radii, taxels.thresholds])
-        for taxels in (made, found)
-    )
-    if made.links != found.links or not np.allclose(was, now, rtol=0.0, atol=1e-6):
+        both = (layouts.load(str(path)).toml() for path in (copy, file))
+        made, found = (text.partition("\n")[2] for text in both)
+    if made != found:  # but for their descriptions
         raise InputError(
             f"layout {file}: found other taxels than when this run began; put the old file back, or "
             "give this study another --out"
@@ -189,7 +184,6 @@ class _Watch:
         runs = [run for job in jobs for run in job.runs]
         self._goals = {run.name: run.config().run.total_timesteps for run in runs}
         self._files = StudyFiles(jobs[0].folder if jobs else Path())
-        self._seen = dict[str, tuple[int, int]]()
         self._done = self._steps(runs)
         self._tenths: Tenths | None = None
 
@@ -208,13 +202,8 @@ class _Watch:
         return sum(min(made.get(run, goal), goal) for run, goal in self._goals.items())
 
     def _made(self, run: Run) -> int:
-        """Return the steps in a run's table, which is read again only after it has grown."""
-        table = self._files.run_dir(run).table
-        size = table.stat().st_size if table.exists() else 0
-        if self._seen.get(run.name, (0, 0))[0] != size:
-            rows = self._files.record(run).rows
-            self._seen[run.name] = size, int(rows[-1]["env_steps"]) if rows else 0
-        return self._seen.get(run.name, (0, 0))[1]
+        rows = self._files.record(run).rows
+        return int(rows[-1]["env_steps"]) if rows else 0
 
 
 def _endings(future: concurrent.futures.Future[Endings], job: Job) -> Endings:
