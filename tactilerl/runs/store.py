@@ -20,7 +20,7 @@ import os
 import re
 import zipfile
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any
 
 import torch
 
@@ -63,21 +63,9 @@ FIRST_COLUMNS = ["epoch", "env_steps"]  # the columns that every table begins wi
 Row = dict[str, str]
 
 
-class Names(TypedDict):
-    """The names in a saved run that decide which fields it has."""
-
-    algo: str
-    env: str
-
-
-class ConfigFile(TypedDict):
-    """The content of config.json, besides its format."""
-
-    run: Names
-    scene: Values | None
-    learner: Values
-    ranks: Annotated[int, "[1, inf)"]
-    provenance: list[machine.Origin]
+# What config.json holds, besides its format.
+RECORD: Values = {"run": Values, "scene": Values | None, "learner": Values}
+RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[Values]}
 
 
 # -- tensors in a file -----------------------------------------------------------------------
@@ -105,11 +93,8 @@ def read_tensors(
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            entries = archive.infolist()
-            if any(entry.compress_type for entry in entries):
+            if any(entry.compress_type for entry in archive.infolist()):
                 raise ValueError("it is compressed, as torch.save does not write it")
-            if sum(entry.file_size for entry in entries) > file.seek(0, os.SEEK_END):
-                raise ValueError("its entries overlap")
             if changed := archive.testzip():
                 raise ValueError(f"{changed} was changed after it was written")
         data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
@@ -176,7 +161,7 @@ class RunDir:
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
-        now: Values = {**machine.origin(epoch, env_steps)}
+        now = machine.origin(epoch, env_steps)
         if batch:
             now["batch"] = batch
         same = {name: now[name] for name in now if name not in ("epoch", "env_steps")}
@@ -313,7 +298,10 @@ def as_record(data: Any) -> Values:
     require_type(data, Values, "record")
     if data.get("format") != FORMAT:
         raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
-    require_type(data, ConfigFile, "record")
+    for name, hint in RECORD.items():
+        require_type(data.get(name), hint, f"record.{name}")
+    for name in ("algo", "env"):
+        require_type(data["run"].get(name), str, f"record.run.{name}")
     return dict(data)
 
 

@@ -206,7 +206,7 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
             for batch in batches:  # others train while the next is built
                 free.acquire()
                 if stop.is_set():
-                    break
+                    raise KeyboardInterrupt
                 trainings.append(_Training(batch, files, held, stop))
                 futures.append(pool.submit(trainings[-1].train_in_thread, free))
             for future in as_completed(futures):
@@ -214,8 +214,6 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
         except BaseException:
             stop.set()
             raise
-    if stop.is_set():
-        raise KeyboardInterrupt
     return int(any(one.learner.failures for one in trainings))
 
 
@@ -243,6 +241,17 @@ def _ended_by_sigterm(stop: threading.Event) -> Iterator[None]:
     finally:
         over.set()
         sys.setswitchinterval(switch_before)
+
+
+class _Worlds(BatchEnv):
+    """Worlds whose next step is the last once they are told to `stop`."""
+
+    stop: threading.Event
+
+    def step(self, actions: Any) -> Any:
+        if self.stop.is_set():
+            raise KeyboardInterrupt
+        return super().step(actions)
 
 
 class _Seat:
@@ -303,7 +312,8 @@ class _Training:
         with input_errors():
             groups: Any = [(config.place[1], batch.worlds) for config in configs]
             hand, _ = configs[0].place
-            env = BatchEnv(hand, groups, where, AutoresetMode.DISABLED)
+            env = _Worlds(hand, groups, where, AutoresetMode.DISABLED)
+            env.stop = stop
             held.callback(env.close)
             for i, config in enumerate(configs):
                 seat: Any = _Seat(env, i)
@@ -339,11 +349,9 @@ class _Training:
             free.release()
 
     def train(self) -> None:
-        """Train until all runs have their steps, or have failed; or until it is told to stop."""
+        """Train until all runs have their steps, or have failed."""
         while any(self.learner.active):
             self.epoch()
-            if self.stop.is_set():  # in an epoch, which a checkpoint would not be
-                return
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
         self.final_test()
@@ -355,8 +363,6 @@ class _Training:
         learner, begin = self.learner, time.perf_counter()
         before = [one.env_steps for one in learner.learners]
         collected, learned, seconds = training.cycles(learner, self.goes_on)
-        if self.stop.is_set():
-            return
         after = [one.env_steps for one in learner.learners]
         tests = learner.test([a < b for a, b in zip(before, after, strict=True)])
         spent = time.perf_counter() - begin
@@ -378,7 +384,7 @@ class _Training:
         """Return whether an epoch's next cycle begins; print a line now and then."""
         if time.monotonic() - self.shown > SHOW_EVERY:
             self.show()
-        return any(self.learner.active) and not self.stop.is_set()
+        return any(self.learner.active)
 
     def final_test(self) -> None:
         """Test the runs that have ended, as `training` does with one; their last rows have waited."""

@@ -103,7 +103,7 @@ def provenance(analysis: Analysis) -> str:
     """Return how many runs are done, how long they took, and of which commits they are."""
     done = [record for record in analysis.records if record.state == "done"]
     commits = Counter(
-        record.config["provenance"][-1]["commit"]
+        str(record.config["provenance"][-1].get("commit"))
         for record in done
         if record.config.get("provenance")
     )
@@ -165,7 +165,7 @@ def warnings(analysis: Analysis) -> list[str]:
         if not one.groups:
             notes.append(f"{name}: no finished run with a {one.setup.measure}.")
         origins = [o for run in one.records for o in run.config.get("provenance", ())]
-        made_with = [(origin["commit"], origin["versions"]) for origin in origins]
+        made_with = [(one.get("commit"), one.get("versions")) for one in origins]
         if any(each != made_with[0] for each in made_with):
             notes.append(
                 f"{name}: versions or commits differ between runs, and could change results."
