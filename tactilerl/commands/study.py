@@ -17,8 +17,7 @@ from ..files import pasted, require_new
 from ..study import batch, executors, grid, jobs, records
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
-from ..terminal.console import console
-from ..terminal.epochs import duration
+from ..terminal.console import about, console
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Run:
                 endings.append(ending)
                 record = files.record(run)
                 text = f"[{len(endings)}/{len(todo)}] {run.name} {record.state} "
-                console.print(text + duration(record.seconds))
+                console.print(text + about(record.seconds))
 
             if is_gpu:
                 each = batch.as_jobs(folder, todo, self.jobs)

@@ -37,8 +37,7 @@ from ..errors import InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
-from ..terminal.console import console
-from ..terminal.epochs import duration
+from ..terminal.console import about, console
 from .executors import SIDE_BY_SIDE
 from .grid import Run
 from .jobs import INTERRUPTED, Job
@@ -195,7 +194,7 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     batches, others = form(runs)
     for run, reason in others:
         raise InputError(f"run {run.name}: {reason}")
-    trainings, futures = list[_Training](), []
+    futures = []
     free, stop = threading.Semaphore(side_by_side), threading.Event()
     with (
         _ended_by_sigterm(stop),
@@ -207,14 +206,12 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
                 free.acquire()
                 if stop.is_set():
                     raise KeyboardInterrupt
-                trainings.append(_Training(batch, files, held, stop))
-                futures.append(pool.submit(trainings[-1].train_in_thread, free))
-            for future in as_completed(futures):
-                future.result()
+                one = _Training(batch, files, held, stop)
+                futures.append(pool.submit(one.train_in_thread, free))
+            return max(future.result() for future in as_completed(futures))
         except BaseException:
             stop.set()
             raise
-    return int(any(one.learner.failures for one in trainings))
 
 
 @contextmanager
@@ -336,12 +333,16 @@ class _Training:
         """The steps of all runs so far."""
         return sum(one.env_steps for one in self.learner.learners)
 
-    def train_in_thread(self, free: threading.Semaphore) -> None:
-        """Train on a stream of its own; release `free` then, and stop all others on errors."""
+    def train_in_thread(self, free: threading.Semaphore) -> int:
+        """Train on a stream of its own; return the exit code.
+
+        Release `free` then, and stop all others on errors.
+        """
         stream = torch.cuda.Stream() if device() != "loop" else None  # type: ignore[no-untyped-call]
         try:
             with torch.cuda.stream(stream):
                 self.train()
+            return int(bool(self.learner.failures))
         except BaseException:
             self.stop.set()
             raise
@@ -423,7 +424,7 @@ class _Training:
         spent, steps = self.shown - self.begin, self.steps
         total = sum(one.total_timesteps for one in self.learner.learners)
         speed = (steps - self.steps_before) / spent
-        left = duration(max(0, total - steps) / speed) if speed else "?"
+        left = about(max(0, total - steps) / speed) if speed else "?"
         groups = defaultdict[str, list[float]](list)
         for one in self.members:
             if not math.isnan(one.success):
@@ -431,7 +432,7 @@ class _Training:
         rates = (f"{label} {np.mean(each):.0%}" for label, each in groups.items())
         console.print(
             f"[{self.name}] {len(self.members)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
-            f"success: {', '.join(rates) or 'not known yet'}, ETA {left}"
+            f"success: {', '.join(rates) or 'not known yet'}, {left} left"
         )
 
 
