@@ -14,9 +14,9 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -40,14 +40,13 @@ from ..runs.store import Checkpoint
 from ..terminal.console import about, console
 from .executors import SIDE_BY_SIDE
 from .grid import Run
-from .jobs import INTERRUPTED, Job
+from .jobs import Job
 from .records import StudyFiles
 
 DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
 PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: at most so many, or three
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
-GRACE = 10.0  # s; then whoever is told to end goes without the epoch that it is in
 SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
 WORLD_BYTES = 300_000  # of physics: contacts, constraints and what they are solved with
@@ -100,9 +99,7 @@ class Batch:
         weights = 2 * sum(a * b for a, b in itertools.pairwise(sizes))
         steps = 4 * _longest(config) * (width + sum(learner.hidden))
         numbers = WEIGHT_COPIES * weights + self.worlds * (WORLD_BYTES // 4 + steps)
-        if hasattr(
-            learner, "buffer_size"
-        ):  # episodes may be half as long as they can be
+        if hasattr(learner, "buffer_size"):  # episodes may be half as long
             kept = 2 * min(config.run.total_timesteps, learner.buffer_size)
             numbers += width * (kept + 3 * learner.n_batches * learner.batch_size)
         return 4 * numbers * len(self.runs)
@@ -175,10 +172,15 @@ def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list
                 "note: this may be more than there is; give --jobs 1, or a part of the study"
             )
     n_jobs = min(n, len(batches), int(os.environ.get(PROCESSES, 3)))
-    parts = (batches[k::n_jobs] for k in range(n_jobs))
-    runs_of = (itertools.chain(*(one.runs for one in part)) for part in parts)
-    n_each, cwd = -(-n // max(1, n_jobs)), Path.cwd()
-    return [Job(folder, (*runs,), n_batches=n_each, cwd=cwd) for runs in runs_of]
+    return [
+        Job(
+            folder,
+            tuple(run for one in batches[k::n_jobs] for run in one.runs),
+            n_batches=-(-n // n_jobs),
+            cwd=Path.cwd(),
+        )
+        for k in range(n_jobs)
+    ]
 
 
 # -- a batch's process -----------------------------------------------------------------------
@@ -188,7 +190,7 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     """Train runs of a study as batches, or go on from their last checkpoints; return the exit code.
 
     So many batches are trained at a time, each in a thread and on a stream of its own. SIGTERM ends
-    them in order, or after GRACE at the last saved checkpoints.
+    them at their next steps, with their last checkpoints.
     """
     require_device()
     batches, others = form(runs)
@@ -196,11 +198,10 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
         raise InputError(f"run {run.name}: {reason}")
     futures = []
     free, stop = threading.Semaphore(side_by_side), threading.Event()
-    with (
-        _ended_by_sigterm(stop),
-        ExitStack() as held,
-        ThreadPoolExecutor(side_by_side) as pool,
-    ):
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, lambda *_: stop.set())
+        sys.setswitchinterval(SWITCH_EVERY)
+    with ExitStack() as held, ThreadPoolExecutor(side_by_side) as pool:
         try:
             for batch in batches:  # others train while the next is built
                 free.acquire()
@@ -212,32 +213,6 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
         except BaseException:
             stop.set()
             raise
-
-
-@contextmanager
-def _ended_by_sigterm(stop: threading.Event) -> Iterator[None]:
-    """Have SIGTERM set `stop` inside, and end the process where that takes longer than GRACE.
-
-    A thread waits for it: the main thread may compute for minutes without a look at signals.
-    """
-
-    def wait() -> None:
-        signal.sigwait([signal.SIGTERM])
-        stop.set()
-        if not over.wait(GRACE):
-            os._exit(INTERRUPTED)
-
-    over, switch_before = threading.Event(), sys.getswitchinterval()
-    is_main = threading.current_thread() is threading.main_thread()
-    sys.setswitchinterval(SWITCH_EVERY)
-    if is_main:
-        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
-        threading.Thread(target=wait, daemon=True).start()
-    try:
-        yield
-    finally:
-        over.set()
-        sys.setswitchinterval(switch_before)
 
 
 class _Worlds(BatchEnv):
