@@ -26,7 +26,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.util import Finalize
 from queue import SimpleQueue
@@ -116,25 +116,24 @@ class Workers:
         self._turn.value += 1
         turn, left = self._turn.value, iter(numbers)
         order, running = deque[Future[T]](), set[Future[T]]()
-        try:
-            while True:
-                running = {future for future in running if not future.done()}
-                for number in itertools.islice(left, 2 * self._n - len(running)):
-                    order.append(self._pool.submit(self._play, job, number, turn))
-                    running.add(order[-1])
-                if not order:
-                    return
-                if order[0].done():
-                    yield order.popleft().result()
-                else:
-                    wait(running, return_when=FIRST_COMPLETED)
-        except BrokenExecutor as error:
-            raise WorkerDiedError("a worker's process has died") from error
-        finally:
-            if self._turn.value == turn:
-                self._turn.value += 1
-            for future in order:
-                future.cancel()
+        with _death_named():
+            try:
+                while True:
+                    running = {future for future in running if not future.done()}
+                    for number in itertools.islice(left, 2 * self._n - len(running)):
+                        order.append(self._pool.submit(self._play, job, number, turn))
+                        running.add(order[-1])
+                    if not order:
+                        return
+                    if order[0].done():
+                        yield order.popleft().result()
+                    else:
+                        wait(running, return_when=FIRST_COMPLETED)
+            finally:
+                if self._turn.value == turn:
+                    self._turn.value += 1
+                for future in order:
+                    future.cancel()
 
     def start_threads(self, envs: Iterable[gym.Env[Any, Any]]) -> None:
         """Play in the environment of this, and in more, in a thread for each."""
@@ -173,13 +172,14 @@ class Workers:
         # set in the main thread alone.
         is_main = threading.current_thread() is threading.main_thread()
         before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
-        try:
-            begun = [pool.submit(_play, _is_there, 0, 0) for _ in range(n)]
-        finally:
-            if is_main:
-                signal.signal(signal.SIGINT, before)
-        for future in begun:
-            future.result()
+        with _death_named():
+            try:
+                begun = [pool.submit(_play, _is_there, 0, 0) for _ in range(n)]
+            finally:
+                if is_main:
+                    signal.signal(signal.SIGINT, before)
+            for future in begun:
+                future.result()
 
     def close(self) -> None:
         """Close all environments."""
@@ -188,6 +188,14 @@ class Workers:
 
 class WorkerDiedError(OSError):
     """A worker's process has ended, and nobody asked it to."""
+
+
+@contextmanager
+def _death_named() -> Iterator[None]:
+    try:
+        yield
+    except BrokenExecutor as error:
+        raise WorkerDiedError("a worker's process has died") from error
 
 
 # In a worker's process: its environment, or the error with which it could not be made, and the turn.

@@ -351,7 +351,8 @@ class _Training:
                 one.epoch += 1
                 test = tests[i] if tests else {}
                 speed = (after[i] - before[i]) / spent
-                row = training.table_row(*zip(*mine, strict=True), shares, test, speed)
+                said, read = zip(*mine, strict=True)
+                row = training.table_row(said, read, shares, test, speed)
                 one.success = row["success_rate"]
                 row = {"epoch": one.epoch, "env_steps": after[i], **row}
                 one.rows.append({**row, FINAL_TEST: ""})
