@@ -126,11 +126,9 @@ class TestBadFiles:
         text = 'name = "x"\n[setups.x]\nenv = "lqr"\nhidden = [8]\n'
         fails_with(capsys, ["study", "run", write(tmp_path, text), "--out", where], "cannot write")
 
-    def test_no_file_no_setups_colliding_names(self, tmp_path):
+    def test_no_file_and_colliding_names(self, tmp_path):
         with pytest.raises(InputError, match="does not exist"):
             grid.read(tmp_path / "none.toml")
-        with pytest.raises(InputError, match="found 0 runs"):
-            read(tmp_path, 'name = "x"')
         with pytest.raises(InputError, match="would be called"):
             read(tmp_path, 'name = "x"\n[grid]\nlayout = ["a/b", "a b"]\n[setups.x]')
 
