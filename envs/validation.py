@@ -25,7 +25,6 @@ from typing import (
     get_args,
     get_origin,
     get_type_hints,
-    is_typeddict,
 )
 
 import numpy as np
@@ -199,9 +198,6 @@ def _required(value: Any, hint: Any, where: str) -> Any:
     elif kind is dict and inner:
         types = inner[1]
         value = {k: require_type(v, types, f"{where}.{k}") for k, v in value.items()}
-    elif is_typeddict(kind):
-        for key, each in hints(kind).items():
-            require_type(value.get(key), each, f"{where}.{key}")
     elif _is_table(kind) and isinstance(value, dict):
         value = fill(kind, value, where)
     return float(value) if kind is float else value
@@ -221,8 +217,6 @@ def _is_kind(value: Any, hint: Any) -> bool:
         return isinstance(value, list | tuple)
     if kind is str:
         return isinstance(value, str) and "\0" not in value
-    if is_typeddict(kind):
-        return isinstance(value, dict)
     if _is_table(kind):
         return isinstance(value, kind | dict)
     return kind is Any or isinstance(value, kind)

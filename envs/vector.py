@@ -8,16 +8,29 @@ simulator frees the GIL while it steps, as MuJoCo does; elsewhere each worker is
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
+import os
 import pickle
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, suppress
-from multiprocessing.connection import Connection
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, closing, contextmanager
+from multiprocessing.connection import wait as wait_for
+from multiprocessing.util import Finalize
 from queue import SimpleQueue
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import gymnasium as gym
@@ -37,27 +50,18 @@ return anything. Picklable, where workers are processes.
 class Workers:
     """Environments and who plays in them. Closing them closes all environments."""
 
-    def __init__(
-        self,
-        players: Sequence[Player],
-        env: gym.Env[Any, Any],
-        opened: ExitStack | None = None,
-    ) -> None:
-        """Take players, and an environment that answers what does not depend on an episode.
-
-        A player may play in `env`. `opened` is what has to be closed in the end.
-        """
-        self.env, self._players, self._opened = env, players, opened or ExitStack()
+    def __init__(self, env: gym.Env[Any, Any], opened: ExitStack | None = None) -> None:
+        """Play in `env`, one after the other; `opened` is what has to be closed in the end."""
+        self.env, self._opened = env, opened or ExitStack()
         self.observation_space = env.observation_space
         self.action_space = env.action_space
-        # One thread each, so that a player ends what it is at before it begins anything else.
-        self._threads = [
-            self._opened.enter_context(ThreadPoolExecutor(1)) for _ in players
-        ]
+        self._n, self._turn = 1, SimpleNamespace(value=0)
+        self._pool: Executor | None = None
+        self._play: Callable[..., Any] = _play
 
     def __len__(self) -> int:
         """Return the number of workers."""
-        return len(self._players)
+        return self._n
 
     @property
     def max_episode_steps(self) -> int | None:
@@ -105,161 +109,135 @@ class Workers:
         The workers run ahead. Who has enough stops iterating: what was begun beyond is not wanted
         any more then, and nobody waits for it.
         """
-        if len(self._players) == 1 and isinstance(self._players[0], LocalPlayer):
+        if self._pool is None:
             for number in numbers:
-                yield self._players[0].play(job, number, lambda: True)
+                yield job(self.env, number, lambda: True)
             return
-        left, lock, is_over = iter(numbers), threading.Lock(), threading.Event()
-        futures: SimpleQueue[Future[T] | None] = (
-            SimpleQueue()
-        )  # in order; None: there are no more
+        self._turn.value += 1
+        turn, left = self._turn.value, iter(numbers)
+        order, running = deque[Future[T]](), set[Future[T]]()
+        with _death_named():
+            try:
+                while True:
+                    running = {future for future in running if not future.done()}
+                    for number in itertools.islice(left, 2 * self._n - len(running)):
+                        order.append(self._pool.submit(self._play, job, number, turn))
+                        running.add(order[-1])
+                    if not order:
+                        return
+                    if order[0].done():
+                        yield order.popleft().result()
+                    else:
+                        wait(running, return_when=FIRST_COMPLETED)
+            finally:
+                if self._turn.value == turn:
+                    self._turn.value += 1
+                for future in order:
+                    future.cancel()
 
-        def work(player: Player) -> None:
-            while not is_over.is_set():
-                with lock:
-                    if (number := next(left, None)) is None:
-                        break
-                    futures.put(future := Future[T]())
-                try:
-                    result = player.play(job, number, lambda: not is_over.is_set())
-                    future.set_result(result)
-                except BaseException as error:  # else future.result() never returns
-                    future.set_exception(error)
-            futures.put(None)
+    def start_threads(self, envs: Iterable[gym.Env[Any, Any]]) -> None:
+        """Play in the environment of this, and in more, in a thread for each."""
+        free: SimpleQueue[gym.Env[Any, Any]] = SimpleQueue()
+        for env in (self.env, *envs):
+            free.put(env)
 
-        for player, thread in zip(self._players, self._threads, strict=True):
-            thread.submit(work, player)
-        try:
-            while (future := futures.get()) is not None:
-                yield future.result()
-        finally:
-            is_over.set()
+        def play(job: Job[T], number: int, turn: int) -> T:
+            env = free.get()
+            try:
+                return job(env, number, lambda: self._turn.value == turn)
+            finally:
+                free.put(env)
 
-    def close(self) -> None:
-        """Close all environments."""
-        self._opened.close()
+        self._n, self._play = free.qsize(), play
+        self._pool = self._opened.enter_context(ThreadPoolExecutor(self._n))
 
+    def start_processes(self, n: int, make: Make, set_up: Callable[[], Any]) -> None:
+        """Play in `n` processes, each in an environment of its own; they end when this one does.
 
-class LocalPlayer:
-    """Plays in an environment of this process."""
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        """Take the environment."""
-        self.env = env
-
-    def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
-        """Return the result of a job."""
-        return job(self.env, number, is_wanted)
-
-
-class WorkerDiedError(OSError):
-    """A worker's process has ended, and nobody asked it to."""
-
-
-class RemotePlayer:
-    """Plays in an environment of a process of its own, which ends when this one does.
-
-    `make` and `set_up`, which the process calls first, are pickled: functions of a module, or
-    `functools.partial` of them; a script that uses this needs its ``if __name__ == "__main__"``.
-    What is raised there is raised here; a process that dies is a WorkerDiedError.
-    """
-
-    def __init__(self, make: Make, set_up: Callable[[], Any]) -> None:
-        """Start the process, which answers when its environment is made."""
+        `make` and `set_up`, which each calls first, are pickled: functions of a module, or
+        `functools.partial` of them; a script that uses this needs its ``if __name__ == "__main__"``.
+        What is raised there is raised here.
+        """
         # Never forks of this process, which would copy threads' locks and an MPI process's
         # connections. On Linux they are forks of a server that has imported what takes seconds, which
         # is Python's own default from 3.14 on.
         method = "forkserver" if sys.platform == "linux" else "spawn"
         context: Any = multiprocessing.get_context(method)
         context.set_forkserver_preload(["gymnasium", "torch"])  # where installed
-        self._connection, there = context.Pipe()
-        args = there, make, set_up, plugins.imported
-        self._process = context.Process(target=_serve, args=args, daemon=True)
-        # It ignores Ctrl-C, which reaches the whole group: this process ends the others. Signals can
-        # be set in the main thread alone.
+        self._n, self._turn = n, context.Value("Q", 0, lock=False)
+        args = make, set_up, (*plugins.imported,), self._turn
+        pool = ProcessPoolExecutor(n, context, _begin, args)
+        self._pool = self._opened.enter_context(pool)
+        # They ignore Ctrl-C, which reaches the whole group: this process ends them. Signals can be
+        # set in the main thread alone.
         is_main = threading.current_thread() is threading.main_thread()
         before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
-        try:
-            self._process.start()
-        finally:
-            if is_main:
-                signal.signal(signal.SIGINT, before)
-        there.close()  # so that the end of the process is an end of file here
-        self._job: Any = None
-
-    def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
-        """Return the result of a job, which is sent only where it differs from the last."""
-        message, self._job = (None if job is self._job else job, number), None
-        result: T = self.answer(message, is_wanted)
-        self._job = job  # and not where it raised
-        return result
-
-    def answer(self, to: Any = None, is_wanted: IsWanted = lambda: True) -> Any:
-        """Send `to` to the process, unless it is None, and return its answer.
-
-        Before anything is sent, the answer is None when the environment is made. Raise the exception
-        that the process answers, and WorkerDiedError where it has died.
-        """
-        try:
-            if to is not None:
-                self._connection.send(to)
-            while not self._connection.poll(0.05):
-                if not is_wanted():
-                    self._connection.send(None)
-                    break
-            answer = self._connection.recv()
-        except (EOFError, ConnectionError) as error:
-            raise WorkerDiedError("a worker's process has died") from error
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
+        with _death_named():
+            try:
+                begun = [pool.submit(_play, _is_there, 0, 0) for _ in range(n)]
+            finally:
+                if is_main:
+                    signal.signal(signal.SIGINT, before)
+            for future in begun:
+                future.result()
 
     def close(self) -> None:
-        """End the process."""
-        self._connection.close()
-        self._process.join()
+        """Close all environments."""
+        self._opened.close()
 
 
-Player = LocalPlayer | RemotePlayer
+class WorkerDiedError(OSError):
+    """A worker's process has ended, and nobody asked it to."""
 
 
-def _serve(
-    connection: Connection[Any, Any],
-    make: Make,
-    set_up: Callable[[], Any],
-    modules: Sequence[str],
-) -> None:
-    """Live as a worker's process: do the job it was sent last for the numbers it is sent.
-
-    None means that the number in play is not wanted any more; when it comes too late, it means
-    nothing.
-    """
-    with suppress(EOFError, ConnectionError), ExitStack() as opened:
-
-        def opened_env() -> gym.Env[Any, Any]:
-            set_up()
-            plugins.import_modules(modules)
-            return opened.enter_context(closing(make()))
-
-        job: Any = None
-        env = _tried(opened_env)
-        connection.send(env if isinstance(env, Exception) else None)
-        while True:
-            if (message := connection.recv()) is not None:
-                job, number = message[0] or job, message[1]
-                connection.send(_tried(job, env, number, lambda: not connection.poll()))
-
-
-def _tried(compute: Callable[..., Any], *args: Any) -> Any:
-    """Return what it returns, or an exception that survives the way to the other process."""
+@contextmanager
+def _death_named() -> Iterator[None]:
     try:
-        return compute(*args)
+        yield
+    except BrokenExecutor as error:
+        raise WorkerDiedError("a worker's process has died") from error
+
+
+# In a worker's process: its environment, or the error with which it could not be made, and the turn.
+_here = SimpleNamespace(env=None, error=None, turn=None)
+
+
+def _begin(
+    make: Make, set_up: Callable[[], Any], modules: tuple[str, ...], turn: Any
+) -> None:
+    """Make the environment of a worker's process."""
+
+    def end_with_parent() -> None:
+        wait_for([multiprocessing.parent_process().sentinel])  # type: ignore[union-attr]
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    _here.turn = turn
+    try:
+        set_up()
+        plugins.import_modules(modules)
+        _here.env = make()
+        Finalize(None, _here.env.close, exitpriority=0)
+    except Exception as error:
+        _here.error = error
+
+
+def _is_there(*_: Any) -> None:
+    """Do nothing but to answer, as a job."""
+
+
+def _play(job: Job[T], number: int, turn: int) -> T:
+    """Return the result of a job in a worker's process, or raise what survives the way back."""
+    try:
+        if _here.error is not None:
+            raise _here.error
+        return job(_here.env, number, lambda: _here.turn.value == turn)
     except Exception as error:
         try:
             pickle.loads(pickle.dumps(error))
         except Exception:
-            return RuntimeError(f"{type(error).__name__}: {error}")
-        return error
+            raise RuntimeError(f"{type(error).__name__}: {error}") from None
+        raise
 
 
 def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Workers:
@@ -272,16 +250,11 @@ def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Wor
     with ExitStack() as opened:
         env = opened.enter_context(closing(make()))
         kind = getattr(env.unwrapped, "side_by_side", "processes")
-        if workers == 1:
-            kind = "in turn"
-        players: list[Player] = [LocalPlayer(env)]
-        if kind == "threads":
+        played_in = Workers(env, opened)
+        if workers > 1 and kind == "threads":
             more = (opened.enter_context(closing(make())) for _ in range(workers - 1))
-            players += map(LocalPlayer, more)
-        elif kind == "processes":
-            processes = (RemotePlayer(make, set_up) for _ in range(workers))
-            remote = [opened.enter_context(closing(process)) for process in processes]
-            for player in remote:  # they start side by side
-                player.answer()
-            players = [*remote]
-        return Workers(players, env, opened.pop_all())
+            played_in.start_threads(more)
+        elif workers > 1 and kind == "processes":
+            played_in.start_processes(workers, make, set_up)
+        played_in._opened = opened.pop_all()
+        return played_in

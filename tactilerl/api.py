@@ -133,31 +133,23 @@ class Learner:
             raise ValueError(
                 "learn: found this learner learning already, allowed once at a time"
             )
+        learner = self._learner
+        events = None if tensorboard is None else Path(tensorboard)
         try:
-            self._learn(run.total_timesteps, progress, callback, tensorboard)
+            learner.total_timesteps = learner.env_steps + run.total_timesteps
+            with _one_thread():
+                if not self._epoch:
+                    learner.check()
+                comm, is_quiet = self._comm, not progress
+                with EpochLog(learner, comm, events, is_quiet) as log:
+                    for row in training.epochs(learner, self._epoch):
+                        self._epoch = row["epoch"]
+                        log.epoch(row)
+                        if callback is not None and callback(row) is False:
+                            break
         finally:
             self._lock.release()
         return self
-
-    def _learn(
-        self,
-        total_timesteps: int,
-        progress: bool,
-        callback: Callback | None,
-        tensorboard: str | Path | None,
-    ) -> None:
-        learner = self._learner
-        learner.total_timesteps = learner.env_steps + total_timesteps
-        with _one_thread():
-            if not self._epoch:
-                learner.check()
-            events = None if tensorboard is None else Path(tensorboard)
-            with EpochLog(learner, self._comm, events, is_quiet=not progress) as log:
-                for row in training.epochs(learner, self._epoch):
-                    self._epoch = row["epoch"]
-                    log.epoch(row)
-                    if callback is not None and callback(row) is False:
-                        break
 
     def policy(self) -> Policy:
         """Return a copy of the current policy; further learning does not change it."""
@@ -309,7 +301,7 @@ def _start(env: Env, workers: int | None) -> vector.Workers:
                 f"workers: found {workers} with one environment, allowed with an id or a function "
                 "that makes environments"
             )
-        return vector.Workers([vector.LocalPlayer(env)], env)
+        return vector.Workers(env)
     make = partial(envs.make, env) if isinstance(env, str) else env
     if not callable(make):
         raise ValueError(

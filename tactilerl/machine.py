@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Annotated, TypedDict
+from typing import Annotated, Any
 
 from .envs.simulators import SIMULATORS
 from .version import __version__
@@ -29,20 +30,11 @@ def free_cores(local_ranks: int = 1) -> int:
     return max(1, min(cpu_count(), (os.cpu_count() or 1) // local_ranks))
 
 
-class Origin(TypedDict):
-    """The software that made a run, from one of its epochs on."""
+def origin(epoch: int = 0, env_steps: int = 0) -> dict[str, Any]:
+    """Return what a run is made with here and now, after an epoch: versions, and our source's commit.
 
-    epoch: int
-    """The last epoch that was made with other software."""
-    env_steps: int
-    versions: dict[str, str]
-    commit: str | None
-    """Commit of our source, with "-dirty" where files differ from it; None where it is no
-    repository."""
-
-
-def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
-    """Return what a run would be made with here and now."""
+    The commit ends in "-dirty" where files differ from it; it is None where there is no repository.
+    """
     return {
         "epoch": epoch,
         "env_steps": env_steps,
@@ -51,6 +43,7 @@ def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
     }
 
 
+@cache
 def _versions() -> dict[str, str]:
     """Return the versions of Python, this package and those it uses, where installed."""
     result = {"tactilerl": __version__, "python": platform.python_version()}
@@ -62,6 +55,7 @@ def _versions() -> dict[str, str]:
     return result
 
 
+@cache
 def _commit(folder: Path) -> str | None:
     """Return the commit of the repository that tracks this package in `folder`.
 

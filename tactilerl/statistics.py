@@ -22,7 +22,7 @@ Array = np.ndarray
 CONFIDENCE = 0.95
 N_RESAMPLES = 50_000  # as the paper's learning curves have them
 N_BINS = 50  # of the histogram behind the converged rate
-END_SHARE = 0.1  # share of a run's points that count as its end
+END_SHARE = 0.2  # share of a run's points that count as its end
 TRIM = 0.25  # the IQM leaves out this share of the runs at each end
 FEW_RUNS = 10  # below this a percentile interval is too narrow: docs/statistics.md has the coverage
 
@@ -53,9 +53,9 @@ def converged_rate(rates: Array) -> float:
     return float(rates[bins == bins[last_of_fullest]].mean())
 
 
-def final_rate(rates: Array) -> float:
-    """Return the mean of the last tenth of a curve (points,), a point at least."""
-    n_last = max(1, math.ceil(END_SHARE * len(rates)))
+def end_rate(rates: Array, share: float = END_SHARE) -> float:
+    """Return the mean of the last fifth of a curve (points,), or another `share`; a point at least."""
+    n_last = max(1, math.ceil(share * len(rates)))
     return float(rates[-n_last:].mean())
 
 

@@ -66,9 +66,9 @@ class TestRates:
         curve = np.array([0.58, 0.5999, 0.57])
         assert s.converged_rate(curve) == pytest.approx(np.mean([0.58, 0.5999]))
 
-    def test_final_rate_is_the_mean_of_the_last_tenth(self):
-        assert s.final_rate(np.arange(20.0)) == pytest.approx(18.5)
-        assert s.final_rate(np.array([0.2, 0.4])) == pytest.approx(0.4)
+    def test_the_end_is_the_mean_of_the_last_fifth(self):
+        assert s.end_rate(np.arange(20.0)) == pytest.approx(17.5)
+        assert s.end_rate(np.array([0.2, 0.4])) == pytest.approx(0.4)
 
     def test_area_counts_steps_not_points(self):
         steps = np.array([0.0, 1.0, 10.0])

@@ -5,6 +5,7 @@ python -m benchmarks study_tables
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Sequence
 from functools import cache, partial
@@ -66,6 +67,15 @@ def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
     return setup, runs
 
 
+def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
+    """Return a score of each run, by group and seed; "final" is the mean over the last tenth."""
+    if score != "final":
+        return study_pairs.scored(score, *groups)
+    common = study_pairs.span(itertools.chain(*groups))
+    rates = [{one.run.seed: study_pairs.within(one, *common)[1] for one in group} for group in groups]
+    return [{seed: statistics.end_rate(y, 0.1) for seed, y in of.items()} for of in rates]
+
+
 def label(setting: str) -> str:
     """Return the name of a setting in tables: `2`, `5 of 0.3`."""
     match = EARLIER.fullmatch(setting)
@@ -93,8 +103,8 @@ def group_means(name: str = "handover") -> None:
     groups = {style.ROLES[group]: (main, main.settings[0], group) for group in main.groups}
     groups["no touch, but sight"] = sighted, sighted.settings[0], ""
     selected = [study_pairs.runs_of(runs, *place) for place in groups.values()]
-    areas = study_pairs.scored("area", *selected)
-    finals = study_pairs.scored("final", *selected)
+    areas = scored("area", *selected)
+    finals = scored("final", *selected)
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
         for group, area, final in zip(groups, areas, finals, strict=True)
@@ -126,7 +136,7 @@ def layouts(name: str, setup_name: str = "") -> None:
     for setting in setup.settings:
         groups = [study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2]]
         pairs[setting] = paired(*groups)
-        finals[setting] = study_pairs.scored("final", *groups)[0]
+        finals[setting] = scored("final", *groups)[0]
     scripted = reflexes(name)
     corrected = holm(pairs.values())
     rows = []
@@ -254,7 +264,7 @@ def learned(places: dict[str, Place]) -> None:
         selected.append(study_pairs.runs_of(runs, setup, setting, group))
     seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected))
     selected = [[run for run in runs if run.run.seed in seeds] for runs in selected]
-    areas, finals = (study_pairs.scored(score, *selected) for score in ("area", "final"))
+    areas, finals = (scored(score, *selected) for score in ("area", "final"))
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
         for group, area, final in zip(places, areas, finals, strict=True)
@@ -279,7 +289,7 @@ def designed(learner: str) -> None:
     ]
     by_layout = {name: group for name, group in by_layout.items() if group}
     finals, areas = (
-        dict(zip(by_layout, study_pairs.scored(score, *by_layout.values()), strict=True))
+        dict(zip(by_layout, scored(score, *by_layout.values()), strict=True))
         for score in ("final", "area")
     )
     others = [name for name in finals if name != "layout 1"]
@@ -348,7 +358,7 @@ def mean(values: Iterable[float], form: str = ".2f") -> str:
 
 def paired(a: list[Record], b: list[Record], score: str = "area") -> study_pairs.Pairs:
     """Return the runs of both groups that have the same seed, by a score."""
-    return study_pairs.in_pairs(study_pairs.scored(score, a, b))
+    return study_pairs.in_pairs(scored(score, a, b))
 
 
 def estimate(value: Estimate, form: str) -> str:
@@ -398,7 +408,8 @@ def _layouts(axes: Axes, study: Study, all_runs: list[Record]) -> None:
     for group, (touch, aside) in enumerate(zip(setup.groups, (-0.13, 0.13), strict=True)):
         colour, named = COLOURS[touch], style.ROLES[touch]
         for place, setting in enumerate(setup.settings):
-            rates = list(study_pairs.both_groups(all_runs, setup, setting, "final")[group].values())
+            both = (study_pairs.runs_of(all_runs, setup, setting, each) for each in setup.groups)
+            rates = list(scored("final", *both)[group].values())
             x, is_first = place + aside, place == 0
             axes.plot(
                 [x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0, clip_on=False,

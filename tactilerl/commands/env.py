@@ -59,8 +59,7 @@ def main(args: list[str]) -> int:
             return 0
         with closing(GraspEnv(read.env, scene)) as env:
             content = _content(read.env, env)
-            player = vector.Workers([vector.LocalPlayer(env)], env)
-            content["notes"] += note_of_standing_still(player.play)
+            content["notes"] += note_of_standing_still(vector.Workers(env).play)
         check = None
         if read.check:
             if tasks.TASKS[scene.task].giver is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +14,10 @@ from rich.table import Table
 
 from ..errors import InputError, extra, input_errors
 from ..files import pasted, require_new
-from ..machine import free_cores
 from ..study import batch, executors, grid, jobs, records
-from ..study.jobs import Job
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
-from ..terminal.console import console
-from ..terminal.epochs import duration
+from ..terminal.console import about, console
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ class Run:
         )
         if is_gpu:
             batch.require_device()
-            batches, others = batch.form(files.path.absolute(), runs)
+            batches, others = batch.form(runs)
             for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
             runs = [run for one in batches for run in one.runs]
@@ -70,34 +66,24 @@ class Run:
             if self.retry_failed:
                 for run in runs:
                     files.beside(run, "json").unlink(missing_ok=True)
-            todo = [
-                Job(files.path.absolute(), run, self.ranks_per_run, Path.cwd())
-                for run in runs
-                if not files.record(run).has_ended
-            ]
+            todo = [run for run in runs if not files.record(run).has_ended]
             console.print(
                 f"study {study.name}: {len(runs)} runs, {len(todo)} to do, in {files.path}"
             )
-            endings, begin = list[jobs.Ending](), time.monotonic()
+            endings, folder = list[jobs.Ending](), files.path.absolute()
 
-            def show(job: Job, ending: jobs.Ending) -> None:
+            def show(run: grid.Run, ending: jobs.Ending) -> None:
                 endings.append(ending)
-                record, n_ended = files.record(job.run), len(endings)
-                text = f"[{n_ended}/{len(todo)}] {job.run.name} {record.state} "
-                text += duration(record.seconds)
-                # Before the first of each job has ended, the others are half done.
-                if not is_gpu and n_ended >= (self.jobs or free_cores()):
-                    left = (time.monotonic() - begin) * (len(todo) / n_ended - 1)
-                    text += f"  ETA {duration(left)}"
-                console.print(text)
+                record = files.record(run)
+                text = f"[{len(endings)}/{len(todo)}] {run.name} {record.state} "
+                console.print(text + about(record.seconds))
 
             if is_gpu:
-                names = {job.run.name for job in todo}
-                batches = [left for one in batches if (left := one.of(names)).runs]
-                batch.show(batches)
-                batch.run_all(batches, pool, self.jobs, show)
+                each = batch.as_jobs(folder, todo, self.jobs)
             else:
-                jobs.run_all(todo, pool, show)
+                ranks, cwd = self.ranks_per_run, Path.cwd()
+                each = [jobs.Job(folder, (run,), ranks, cwd=cwd) for run in todo]
+            jobs.run_all(each, pool, show)
         n_failed = _print_failures(map(files.record, runs))
         if n_busy := endings.count("busy"):
             console.print(f"{n_busy} runs are trained by another `study run`")

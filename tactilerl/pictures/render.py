@@ -189,13 +189,10 @@ def film(
         players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:
             opened.callback(player.env.close)
-        if len({player.label for player in players}) < len(
-            runs
-        ):  # then their names tell them apart
-            for run, player in zip(runs, players, strict=True):
+        labels = {player.label for player in players}
+        for run, player in zip(runs, players, strict=True):
+            if len(labels) < len(runs):  # then their names tell them apart
                 player.label = run.name
-        if len({player.fps for player in players}) > 1:
-            raise InputError("render: found runs whose timesteps differ")
         writer = None
         for number in numbers:
             played = [player.film(number) for player in players]

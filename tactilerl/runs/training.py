@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -96,19 +96,14 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 require_tensorboard()
         with writing(run_dir, config, comm):
             checkpoint = Checkpoint(run_dir, config, learner, comm)
-            epoch = begun(checkpoint)
-            if comm.rank == 0:
-                run_dir.cut(epoch)
-                run_dir.write_config(config, comm.size, epoch, learner.env_steps)
+            epoch = begin(checkpoint)
             notes = [summary, paragraph("resolved", learner.describe())]
             if epoch:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
                 notes.append(paragraph("resumed", done))
-            else:
-                checkpoint.save(0)
-                if config.scene and comm.rank == 0:
-                    for note in note_of_standing_still(workers.play):
-                        notes.append(paragraph("warning", note))
+            elif config.scene and comm.rank == 0:
+                for note in note_of_standing_still(workers.play):
+                    notes.append(paragraph("warning", note))
             if learner.env_steps >= learner.total_timesteps:
                 notes.append("  nothing to do; raise --total-timesteps")
             with EpochLog(learner, comm, events) as log:
@@ -144,26 +139,33 @@ def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[
             raise
 
 
-def begun(checkpoint: Checkpoint) -> int:
-    """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet.
+def begin(checkpoint: Checkpoint, batch: dict[str, Any] | None = None) -> int:
+    """Restore a run's state and return the epoch after which it goes on; save what begins, at 0.
 
-    InputError where the goal was made smaller, and the run is beyond it already.
+    `batch` says in config.json of which batch it is part. InputError where the goal was made smaller,
+    and the run is beyond it already.
     """
-    run_dir, learner = checkpoint.run_dir, checkpoint.learner
-    if not run_dir.checkpoint_file.exists():
-        if run_dir.rows() or any(run_dir.experience_folder.glob("*.pt")):
+    run_dir, learner, comm = checkpoint.run_dir, checkpoint.learner, checkpoint.comm
+    epoch = 0
+    if run_dir.checkpoint_file.exists():
+        epoch, goal = checkpoint.restore(), learner.total_timesteps
+        planned = run_dir.read_config().run.total_timesteps
+        if epoch and goal < min(learner.env_steps, planned):
             raise InputError(
-                f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
-                "begin another run with another --out"
+                f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} "
+                "steps, allowed more: they count from the run's beginning"
             )
-        return 0
-    epoch, goal = checkpoint.restore(), learner.total_timesteps
-    planned = run_dir.read_config().run.total_timesteps
-    if epoch and goal < min(learner.env_steps, planned):
+    elif run_dir.rows() or any(run_dir.experience_folder.glob("*.pt")):
         raise InputError(
-            f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "
-            "allowed more: they count from the run's beginning"
+            f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
+            "begin another run with another --out"
         )
+    if comm.rank == 0:
+        run_dir.cut(epoch)
+        steps = learner.env_steps
+        run_dir.write_config(checkpoint.config, comm.size, epoch, steps, batch)
+    if not epoch:
+        checkpoint.save(0)
     return epoch
 
 
@@ -186,38 +188,52 @@ def _final_test(learner: Learner, n: int) -> float | str:
 
 
 def _epoch(learner: Learner) -> Row:
-    """Play one epoch and learn from it, then test; return its row of the progress table.
+    """Play one epoch and learn from it, then test; return its row of the progress table."""
+    begin, before = time.perf_counter(), learner.env_steps
+    played = cycles(learner, lambda: learner.env_steps < learner.total_timesteps)
+    test = learner.test()
+    speed = (learner.env_steps - before) / (time.perf_counter() - begin)
+    return {"env_steps": learner.env_steps, **table_row(*played, test, speed)}
 
-    It has as many cycles as the algorithm's epochs, but none begins beyond the run's length, where
-    what is annealed is zero.
+
+def cycles(
+    learner: Any, goes_on: Callable[[], bool]
+) -> tuple[list[Any], list[Any], list[float]]:
+    """Let a learner collect and update; return what both say, and the seconds that they take.
+
+    An epoch has as many cycles as the algorithm's, but none begins beyond the run's length, where what
+    is annealed is zero: the first is always played.
     """
-    begin, steps_before = time.perf_counter(), learner.env_steps
-    collect_s = update_s = 0.0
-    collected, learned = list[Row](), list[Row]()
-    while not collected or (
-        len(collected) < learner.cycles_per_epoch
-        and learner.env_steps < learner.total_timesteps
-    ):
+    collected, learned, seconds = list[Any](), list[Any](), [0.0, 0.0]
+    while not collected or (len(collected) < learner.cycles_per_epoch and goes_on()):
         start = time.perf_counter()
         collected.append(learner.collect())
         middle = time.perf_counter()
         learned.append(learner.update())
-        collect_s += middle - start
-        update_s += time.perf_counter() - middle
-    test = learner.test()
-    speed = (learner.env_steps - steps_before) / (time.perf_counter() - begin)
+        seconds[0] += middle - start
+        seconds[1] += time.perf_counter() - middle
+    return collected, learned, seconds
+
+
+def table_row(
+    collected: Sequence[Row],
+    learned: Sequence[Row],
+    seconds: Sequence[float],
+    test: Row,
+    speed: float,
+) -> Row:
+    """Return a row of the progress table for an epoch's cycles."""
     return {
-        "env_steps": learner.env_steps,
         **merged(collected, [row["episodes"] for row in collected]),
         **merged(learned, [1] * len(learned)),
         **test,
-        "collect_s": round(collect_s, 4),
-        "update_s": round(update_s, 4),
+        "collect_s": round(seconds[0], 4),
+        "update_s": round(seconds[1], 4),
         "steps_per_s": round(speed, 1),
     }
 
 
-def merged(rows: list[Row], weights: list[float]) -> Row:
+def merged(rows: Sequence[Row], weights: list[float]) -> Row:
     """Return one row for an epoch's cycles: counts are added, everything else is averaged.
 
     Averages are over the cycles that have a value.

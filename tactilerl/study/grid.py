@@ -51,7 +51,7 @@ RESERVED_FLAGS = {SEED, "out", "resume", "workers", "tensorboard"}
 N_TEST_EPISODES = 200  # at the end of a run, where the study does not say how many
 MAX_RUNS = 10_000  # a slip in a grid multiplies
 
-Score = Literal["area", "final", "converged", "test"]
+Score = Literal["area", "last", "converged", "test"]
 """The number that a run is judged by: docs/statistics.md; test: that at its end, without noise."""
 
 
@@ -207,6 +207,8 @@ def from_dict(data: Any) -> Study:
         parts = {"measure": one["measure"], "compare": compare or {}, "grid": grid}
         setups[one["name"]] = {**one["flags"], **parts}
     primary = data.get("primary") or {}
+    if primary.get("score") == "final":  # 0.5.0's, the last tenth
+        primary = {"score": "last"}
     return _study({"name": data["name"], "setups": setups, "primary": primary})
 
 

@@ -15,17 +15,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import filelock
-import numpy as np
 
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
-from ..envs import hands, layouts, plugins
+from ..envs import layouts, plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
 from ..files import no_link
 from ..runs.config import RunConfig, from_dict
@@ -33,21 +32,24 @@ from ..runs.training import make_algorithm
 from ..terminal import interrupts
 from ..terminal.console import Tenths
 from .grid import Run
-from .records import Record, StudyFiles
+from .records import Record, State, StudyFiles
 
 ATTEMPTS = 2
-LOOK_EVERY = 2.0  # s between looks at how far runs are
+LOOK_EVERY = 5.0  # s between looks at how far runs are
 WORKER_WAIT = (
     5.0  # s until busy runs are asked for again: a killed worker's run ends meanwhile
 )
-INTERRUPTED = (130, -signal.SIGINT)
+INTERRUPTED = 130
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # The first thing that a run's process does: from then on it ends with its parent.
 BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
 BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
-Ending = Literal["done", "failed", "busy", "interrupted", "gone"]
-"""Ending of a job. A run that is gone was taken out of the study meanwhile."""
+Ending = State | Literal["busy", "gone"]
+"""Ending of a run. One that is gone was taken out of the study meanwhile."""
+Endings = dict[str, Ending]
+"""Endings of runs by their names."""
+ENDINGS: dict[int, Ending] = {INTERRUPTED: "interrupted", BUSY: "busy"}  # by exit code
 
 _children: set[subprocess.Popen[bytes]] = set()
 _stopping = threading.Event()
@@ -55,25 +57,28 @@ _stopping = threading.Event()
 
 @dataclass(frozen=True)
 class Job:
-    """A run that is to be done; can be pickled."""
+    """Runs that one process makes done; can be pickled."""
 
     folder: Path
     """The study's folder; absolute, where other machines are to find it."""
-    run: Run
+    runs: tuple[Run, ...]
+    """One run, or those of batches."""
     ranks: int = 1
+    n_batches: int = 0
+    """Number of batches that are trained at once on a GPU; 0: a run alone."""
     cwd: Path | None = None
     """The folder where files that its flags name are looked for; None: the current one."""
     imports: tuple[str, ...] = field(default_factory=lambda: (*plugins.imported,))
     """Modules that are to be imported first."""
 
-    shows_progress: ClassVar[bool] = False
-    """True if its process prints to the terminal, and not to the log."""
-
     @property
     def arguments(self) -> list[str]:
         """The arguments of `tactilerl` that train it, or go on where it was cut off."""
-        modules = [f"--import={module}" for module in self.imports]
-        return ["study", "train", str(self.folder), self.run.name, *modules]
+        names = [run.name for run in self.runs]
+        flags = [f"--import={module}" for module in self.imports]
+        if self.n_batches:
+            flags += ["--on", "gpu", "--jobs", str(self.n_batches)]
+        return ["study", "train", str(self.folder), *names, *flags]
 
 
 def check(files: StudyFiles, runs: Iterable[Run], makes: bool = True) -> None:
@@ -127,13 +132,9 @@ def _require_same_layout(copy: Path, config: RunConfig) -> None:
     if not (file and file.is_file() and copy.is_file()):
         return
     with input_errors():
-        hand = hands.get(config.run.env)
-        made, found = (layouts.load(str(path)).place(hand) for path in (copy, file))
-    was, now = (
-        np.column_stack([taxels.positions, taxels.radii, taxels.thresholds])
-        for taxels in (made, found)
-    )
-    if made.links != found.links or not np.allclose(was, now, rtol=0.0, atol=1e-6):
+        both = (layouts.load(str(path)).toml() for path in (copy, file))
+        made, found = (text.partition("\n")[2] for text in both)
+    if made != found:  # but for their descriptions
         raise InputError(
             f"layout {file}: found other taxels than when this run began; put the old file back, or "
             "give this study another --out"
@@ -143,32 +144,33 @@ def _require_same_layout(copy: Path, config: RunConfig) -> None:
 def run_all(
     jobs: Sequence[Job],
     pool: concurrent.futures.Executor,
-    on_end: Callable[[Job, Ending], None],
+    on_end: Callable[[Run, Ending], None],
 ) -> None:
-    """Make runs done, in order; `on_end` is told each job and how it ended.
+    """Make runs done, in order; `on_end` is told each run and how it ended.
 
-    Prints on standard error how long all of it will take, and every tenth of it. Runs that another
-    process trains are asked for once more at the end.
+    Prints on standard error how long all of it will take, and every tenth of it; a GPU's batches say
+    it themselves. Runs that another process trains are asked for once more at the end.
     """
-    look = _Watch(jobs)
+    look = _Watch([job for job in jobs if not job.n_batches])
     for is_last in (False, True):
         waiting = {pool.submit(make_done, job): job for job in jobs}
-        busy = []
+        jobs = []
         while waiting:
             done, _ = concurrent.futures.wait(
                 waiting, LOOK_EVERY, concurrent.futures.FIRST_COMPLETED
             )
-            look([job.run for job in waiting.values()])
+            look([run for job in waiting.values() for run in job.runs])
             for future in done:
                 job = waiting.pop(future)
-                ending = _ending(future, job)
-                if ending == "busy" and not is_last:
-                    busy.append(job)
-                else:
-                    on_end(job, ending)
-        if busy:
+                endings = _endings(future, job)
+                busy = [run for run in job.runs if endings[run.name] == "busy"]
+                for run in job.runs:
+                    if is_last or run not in busy:
+                        on_end(run, endings[run.name])
+                if busy and not is_last:
+                    jobs.append(replace(job, runs=(*busy,)))
+        if jobs:
             time.sleep(WORKER_WAIT)
-        jobs = busy
 
 
 class _Watch:
@@ -179,14 +181,10 @@ class _Watch:
 
     def __init__(self, jobs: Sequence[Job]) -> None:
         """Look at where `jobs` begin."""
-        goals = dict[Any, int]()
-        for job in jobs:
-            if job.run.place not in goals:
-                goals[job.run.place] = job.run.config().run.total_timesteps
-        self._goals = {job.run.name: goals[job.run.place] for job in jobs}
+        runs = [run for job in jobs for run in job.runs]
+        self._goals = {run.name: run.config().run.total_timesteps for run in runs}
         self._files = StudyFiles(jobs[0].folder if jobs else Path())
-        self._seen = dict[str, tuple[int, int]]()
-        self._done = self._steps([job.run for job in jobs])
+        self._done = self._steps(runs)
         self._tenths: Tenths | None = None
 
     def __call__(self, waiting: Sequence[Run]) -> None:
@@ -204,70 +202,69 @@ class _Watch:
         return sum(min(made.get(run, goal), goal) for run, goal in self._goals.items())
 
     def _made(self, run: Run) -> int:
-        """Return the steps in a run's table, which is read again only after it has grown."""
-        try:
-            size = self._files.run_dir(run).table.stat().st_size
-        except FileNotFoundError:
-            return 0
-        if self._seen.get(run.name, (-1, 0))[0] != size:
-            rows = self._files.record(run).rows
-            self._seen[run.name] = size, int(rows[-1]["env_steps"]) if rows else 0
-        return self._seen[run.name][1]
+        rows = self._files.record(run).rows
+        return int(rows[-1]["env_steps"]) if rows else 0
 
 
-def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending:
-    """Return how a job ended; one that ended several of Dask's workers has failed."""
+def _endings(future: concurrent.futures.Future[Endings], job: Job) -> Endings:
+    """Return how runs ended; those that ended several of Dask's workers have failed."""
     try:
         return future.result()
     except Exception as error:
         if type(error).__name__ != "KilledWorker":  # Dask's
             raise
-        reason = f"it ended several workers ({error})"[:300]
-        StudyFiles(job.folder).write_failure(job.run, reason)
-        return "failed"
+        for run in job.runs:
+            reason = f"it ended several workers ({error})"[:300]
+            StudyFiles(job.folder).write_failure(run, reason)
+        return {run.name: "failed" for run in job.runs}
 
 
-def make_done(job: Job) -> Ending:
-    """Train one run to its end; a failure is tried once more.
+def make_done(job: Job) -> Endings:
+    """Train runs to their end, and return how each of them ended; a failure is tried once more.
 
     What has ended, or what another process trains, is left as it is.
     """
-    files = StudyFiles(job.folder)
-    try:
-        with filelock.FileLock(files.beside(job.run, "lock"), timeout=0):
-            state = files.record(job.run).state
-            if state == "running":
-                return "busy"
-            return state if state in ("done", "failed") else _train(files, job)
-    except filelock.Timeout:
-        return "busy"
+    files, endings = StudyFiles(job.folder), Endings()
+    with ExitStack() as held:
+        for run in job.runs:
+            try:
+                lock = filelock.FileLock(files.beside(run, "lock"), timeout=0)
+                held.enter_context(lock)
+                state = files.record(run).state
+            except filelock.Timeout:
+                state = "running"
+            endings[run.name] = "busy" if state == "running" else state
+        unended = ("left", "interrupted")
+        left = tuple(run for run in job.runs if endings[run.name] in unended)
+        return endings | (_train(files, replace(job, runs=left)) if left else {})
 
 
-def _train(files: StudyFiles, job: Job) -> Ending:
-    log, code, begin = files.beside(job.run, "log"), 1, 0
+def _train(files: StudyFiles, job: Job) -> Endings:
+    log, code, begin = files.beside(job.runs[0], "log"), 1, 0
+    left = job.runs
     for _ in range(ATTEMPTS):
         begin = log.stat().st_size if log.exists() else 0
-        code = run_process(log, job)
-        if _stopping.is_set() or code in INTERRUPTED:
-            return "interrupted"
-        if code == BUSY:
-            return "busy"
-        if code in (0, BAD_INPUT):  # which a second attempt cannot mend
+        code = _process(log, replace(job, runs=left))
+        left = tuple(run for run in left if not files.record(run).has_ended)
+        # None of these exit codes is mended by a second attempt.
+        if not left or code in (0, BAD_INPUT, BUSY, INTERRUPTED):
             break
-    if code == 0 and files.record(job.run).state == "done":
-        return "done"
-    if job.run.name not in {run.name for run in files.study().runs()}:
-        return "gone"
-    files.write_failure(job.run, reason(code, log, begin))
-    return "failed"
-
-
-def run_process(log_file: Path, job: Job) -> int:
-    """Run a job's process to its end; return the exit code."""
-    return INTERRUPTED[0] if _stopping.is_set() else _process(log_file, job)
+    endings, names = Endings(), {run.name for run in files.study().runs()}
+    for run in job.runs:
+        if run not in left:
+            endings[run.name] = files.record(run).state
+        elif code in ENDINGS:
+            endings[run.name] = ENDINGS[code]
+        elif run.name not in names:
+            endings[run.name] = "gone"
+        else:
+            files.write_failure(run, reason(code, log, begin))
+            endings[run.name] = "failed"
+    return endings
 
 
 def _process(log_file: Path, job: Job) -> int:
+    """Run a job's process to its end; return the exit code."""
     command = [sys.executable, "-m", "tactilerl", *job.arguments]
     if job.ranks > 1:
         beside = str(Path(sys.executable).with_name("mpirun"))
@@ -276,7 +273,7 @@ def _process(log_file: Path, job: Job) -> int:
         child = subprocess.Popen(
             [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
-            stdout=None if job.shows_progress else log,
+            stdout=None if job.n_batches else log,
             stderr=log,
             env=_environment(),
             cwd=job.cwd,
@@ -285,9 +282,10 @@ def _process(log_file: Path, job: Job) -> int:
     if _stopping.is_set():  # since the last look
         child.terminate()
     try:
-        return child.wait()
+        code = child.wait()
     finally:
         _children.discard(child)
+    return INTERRUPTED if _stopping.is_set() or code == -signal.SIGINT else code
 
 
 def _environment() -> dict[str, str]:

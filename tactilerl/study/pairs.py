@@ -76,17 +76,22 @@ def span(records: Iterable[Record]) -> tuple[float, float]:
     return float(first), float(last)
 
 
+def within(record: Record, first: float, last: float) -> tuple[Array, Array]:
+    """Return the steps and rates of a finished run from the `first` to the `last` step."""
+    steps, rates = record.curve
+    at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
+    return at, np.interp(at, steps, rates)
+
+
 def scores(record: Record, first: float, last: float) -> dict[str, float]:
     """Return what a finished run reached from the `first` to the `last` step.
 
     The names are those of `grid.Score`; `test` is NaN where the run was not tested at its end.
     """
-    steps, rates = record.curve
-    at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
-    rates = np.interp(at, steps, rates)
+    at, rates = within(record, first, last)
     return {
         "area": statistics.area_under_curve(at, rates),
-        "final": statistics.final_rate(rates),
+        "last": statistics.end_rate(rates),
         "converged": statistics.converged_rate(rates),
         "test": float(record.column(FINAL_TEST)[-1]),
     }

@@ -66,9 +66,9 @@ class Record:
 
     @cached_property
     def curve(self) -> tuple[Array, Array]:
-        """The steps and rates of the epochs that have a rate."""
+        """The steps and rates of the epochs that have a rate, a share of 1."""
         steps, rates = self.column("env_steps"), self.column(self.run.measure)
-        known = np.isfinite(steps) & np.isfinite(rates)
+        known = (rates >= 0) & (rates <= 1)
         return steps[known], rates[known]
 
     @property

@@ -27,7 +27,7 @@ from .pairs import ALPHA, Verdict
 TEMPLATE = "report.html.j2"
 MEANS = {
     "area": "mean success",
-    "final": "final success",
+    "last": "success in the last fifth",
     "converged": "converged success",
     "test": "tested success",
 }
@@ -103,7 +103,7 @@ def provenance(analysis: Analysis) -> str:
     """Return how many runs are done, how long they took, and of which commits they are."""
     done = [record for record in analysis.records if record.state == "done"]
     commits = Counter(
-        record.config["provenance"][-1]["commit"]
+        str(record.config["provenance"][-1].get("commit"))
         for record in done
         if record.config.get("provenance")
     )
@@ -165,7 +165,7 @@ def warnings(analysis: Analysis) -> list[str]:
         if not one.groups:
             notes.append(f"{name}: no finished run with a {one.setup.measure}.")
         origins = [o for run in one.records for o in run.config.get("provenance", ())]
-        made_with = [(origin["commit"], origin["versions"]) for origin in origins]
+        made_with = [(one.get("commit"), one.get("versions")) for one in origins]
         if any(each != made_with[0] for each in made_with):
             notes.append(
                 f"{name}: versions or commits differ between runs, and could change results."
@@ -200,39 +200,28 @@ def comparisons(result: SetupResult, score: str) -> Table:
     return Table(f"{result.setup.name}_comparisons", title, rows, note)
 
 
-def is_any_tested(results: list[SetupResult]) -> bool:
-    """Return whether a run of these was tested at its end."""
-    groups = [group for one in results for group in one.groups.values()]
-    return any(not math.isnan(x) for group in groups for x in group.scores["test"])
-
-
 def measures(result: SetupResult) -> Table:
     """Return the mean scores of each group, with intervals."""
-    rows, is_tested = [], is_any_tested([result])
+    rows = []
     for (setting, name), group in result.groups.items():
         means = {
             MEANS[score].capitalize(): shown(statistics.mean(values, group.counts))
             for score, values in group.scores.items()
-            if is_tested or score != "test"
         }
         row = {"Setting": setting, "Group": result.setup.label(name)}
         rows.append({**row, "Runs": str(len(group.seeds)), **means})
     note = (
-        "Mean of the runs with 95 % interval. Mean success: over the run; final: over its last tenth; "
-        "converged: the level where a run spends most of its epochs."
+        "Mean of the runs with 95 % interval. Mean success: over the run; "
+        "converged: the level where a run spends most of its epochs; tested: at its end, without "
+        "exploration noise, from the same starts; a dash where a run was not."
     )
-    if is_tested:
-        note += (
-            " Tested: at its end, without exploration noise, from the same starts; a dash where a run "
-            "was not."
-        )
     title = f"Each group of runs: {result.subject}"
     return Table(f"{result.setup.name}_measures", title, rows, note)
 
 
 def runs(analysis: Analysis) -> Table:
     """Return every run: its seed, how it ended and what it reached."""
-    rows, is_tested = [], is_any_tested(analysis.setups)
+    rows = []
     for one in analysis.setups:
         for record in one.records:
             run, group = record.run, one.groups.get(record.run.place[1:])
@@ -245,8 +234,6 @@ def runs(analysis: Analysis) -> Table:
                 "Steps": record.rows[-1]["env_steps"] if record.rows else "0",
             }
             for score, mean in MEANS.items():
-                if score == "test" and not is_tested:
-                    continue
                 known = (
                     zip(group.seeds, group.scores[score], strict=True) if group else ()
                 )

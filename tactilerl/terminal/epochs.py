@@ -15,6 +15,7 @@ from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
 from ..errors import extra
+from .console import about
 
 FAULT_NOTES = {  # of a run that has had such faults
     "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
@@ -74,7 +75,7 @@ class EpochLog:
         left = spent * max(0, self.total - steps) / (steps - self._first_step)
         text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s  "
         done = f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}"
-        self.console.print(f"{done}  {text}ETA {duration(left)}")
+        self.console.print(f"{done}  {text}{about(left)} left")
         self.write_events(row)
 
     def write_events(self, row: Mapping[str, float | str]) -> None:
@@ -103,14 +104,6 @@ def learning_curve(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _percent(value: float) -> str:
     return "  –  " if math.isnan(value) else f"{100 * value:4.0f}%"
-
-
-def duration(seconds: float) -> str:
-    """Return days, where there are any, hours, minutes and seconds: "2 d 1:00:59"."""
-    days, rest = divmod(round(seconds), 86_400)
-    minutes, rest = divmod(rest, 60)
-    clock = f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
-    return f"{days} d {clock}" if days else clock
 
 
 def require_tensorboard() -> Any:

@@ -120,6 +120,22 @@ def test_a_batch_that_was_killed_goes_on_as_if_it_had_not_been(
         assert json.loads(second.config_file.read_text())["provenance"][0]["epoch"] == 0
 
 
+def test_a_batch_that_is_told_to_end_ends_at_its_next_step(tmp_path, in_a_loop, monkeypatch, capsys):
+    """As SIGTERM tells it, by a flag."""
+    steps, step = [], batch._Worlds.step
+
+    def told(self, actions):
+        steps.append(self.stop.set())
+        return step(self, actions)
+
+    monkeypatch.setattr(batch._Worlds, "step", told)
+    study = write(tmp_path, STUDY.partition("[setups.bullet]")[0])
+    args = ["study", "run", str(study), "--out", str(tmp_path / "out"), "--on", "gpu", "--jobs", "1"]
+    assert main(args) == 1
+    assert len(steps) == 1
+    assert "interrupted: 6; run the same command to go on" in capsys.readouterr().out
+
+
 def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv(batch.DEVICE, raising=False)
     args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]

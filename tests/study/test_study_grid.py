@@ -63,11 +63,12 @@ class TestGrid:
         data = study.as_dict()
         assert grid.from_dict(data) == study
         assert study.primary.score == "area"
-        assert grid.from_dict({**data, "looks": None}) == study  # as 0.4.0 wrote it
-        head = 'primary.score = "final"\n'
+        head = 'primary.score = "last"\n'
         decided = read(tmp_path, head + GOOD[: GOOD.index("[setups.ppo]")])
         assert grid.from_dict(json.loads(json.dumps(decided.as_dict()))) == decided
-        assert decided.primary.score == "final"
+        assert decided.primary.score == "last"
+        old = {**data, "primary": {"score": "final"}}  # as 0.5.0 wrote it
+        assert grid.from_dict(old).primary.score == "last"
 
     @pytest.mark.parametrize("name", sorted(path.stem for path in ROOT.glob("studies/*.toml")))
     def test_the_studies_of_the_project_can_be_configured(self, name):
@@ -125,11 +126,9 @@ class TestBadFiles:
         text = 'name = "x"\n[setups.x]\nenv = "lqr"\nhidden = [8]\n'
         fails_with(capsys, ["study", "run", write(tmp_path, text), "--out", where], "cannot write")
 
-    def test_no_file_no_setups_colliding_names(self, tmp_path):
+    def test_no_file_and_colliding_names(self, tmp_path):
         with pytest.raises(InputError, match="does not exist"):
             grid.read(tmp_path / "none.toml")
-        with pytest.raises(InputError, match="found 0 runs"):
-            read(tmp_path, 'name = "x"')
         with pytest.raises(InputError, match="would be called"):
             read(tmp_path, 'name = "x"\n[grid]\nlayout = ["a/b", "a b"]\n[setups.x]')
 

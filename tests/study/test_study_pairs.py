@@ -35,7 +35,7 @@ class TestAnswers:
         assert said.endswith(f"p = {p:.3f}, {n} of 12 pairs).")
 
     def test_a_bound_below_zero_keeps_its_sign(self):
-        said = report.answer(self.setup, self.verdict((0.1, -0.02, 0.2), 1e-4), "final")
+        said = report.answer(self.setup, self.verdict((0.1, -0.02, 0.2), 1e-4), "last")
         assert "−0.02 to +0.20, p < 0.001" in said
 
 
@@ -61,7 +61,7 @@ class TestCommonRange:
         steps = np.arange(0, 50, 10)
         same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
         short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
-        for score in ("area", "final", "converged"):
+        for score in ("area", "last", "converged"):
             a, b = (pairs.scored(score, [one], [short]) for one in same)
             assert a[0][1] == b[0][1] == a[1][2]
 

@@ -156,7 +156,7 @@ class TestFailures:
         fewer["setups"][0]["grid"]["polyak"] = [first.flags["polyak"]]
         fewer["setups"][0]["compare"] = None
         copied.create(grid.from_dict(fewer))
-        assert jobs.make_done(jobs.Job(copied.path, second)) == "gone"
+        assert jobs.make_done(jobs.Job(copied.path, (second,))) == {second.name: "gone"}
         assert not copied.beside(second, "json").exists()
 
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
@@ -227,7 +227,7 @@ def test_how_long_all_runs_take_is_said_from_their_tables(tmp_path, capsys, monk
     whole = table.read_text()
     interrupt(folder, runs[0], rows=5)  # of 25
     folder.run_dir(runs[1]).table.unlink()
-    look = jobs._Watch([jobs.Job(folder.path, run) for run in runs])
+    look = jobs._Watch([jobs.Job(folder.path, (run,)) for run in runs])
     for rows, words in ((5, ""), (10, ""), (11, "2 %, about "), (12, ""), (15, "1")):
         table.write_text(whole)
         interrupt(folder, runs[0], rows)
