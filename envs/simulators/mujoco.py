@@ -263,6 +263,9 @@ class MujocoSimulator(Simulator):
             model.body(body).name for body in range(1, self._object_body)
         )
         self._link_of_geom = (model.geom_bodyid - 1).tolist()
+        on_hand = (model.geom_bodyid > 0) & (model.geom_bodyid < self._object_body)
+        self._skin = np.flatnonzero(on_hand) if scene.skin else np.zeros(0, int)
+        self._cover()
 
     @property
     def warnings(self) -> int:  # type: ignore[override]
@@ -288,6 +291,18 @@ class MujocoSimulator(Simulator):
         ]
         mujoco.mj_setConst(model, self.data)
         _set_mean_inertia(model)
+        self._cover()
+
+    def _cover(self) -> None:
+        """Make contacts with the hand as soft as its skin, with the object's friction."""
+        if skin := self.scene.skin:
+            model, geoms = self.model, self._skin
+            model.geom_priority[geoms], model.geom_condim[geoms] = 2, 4
+            model.geom_friction[geoms] = model.geom_friction[self._object_geom]
+            model.geom_solimp[geoms] = skin.solimp
+            self._ease = model.body_invweight0[model.geom_bodyid[geoms], 0]
+            ease = self._ease + 1 / self.scene.mass
+            model.geom_solref[geoms] = skin.solref(ease, self.scene.timestep)
 
     def _begin(
         self, joint_positions: Array, object_position: Array, yaw: float
