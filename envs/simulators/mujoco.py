@@ -75,6 +75,7 @@ DIVERGENCE_WARNINGS = [
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
 # ratio 1 a held cube slides out of the fingers within the 20 s of a hold test.
 FRICTION_TO_NORMAL_IMPEDANCE = 100.0
+SKINS = 3.0  # times as much with a soft skin, so that it creeps no faster
 
 
 def build_spec(scene: Scene) -> mujoco.MjSpec:
@@ -85,7 +86,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.iterations = SOLVER_ITERATIONS
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
-    spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
+    spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE * (SKINS if scene.skin else 1)
     _take_textures(spec)
     with model_file.quiet():
         spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
@@ -238,6 +239,7 @@ class MujocoSimulator(Simulator):
         """Build a scene."""
         super().__init__(scene)
         self.model = model_file.compiled(build_spec(scene))
+        self._impratio = self.model.opt.impratio
         _set_mean_inertia(self.model)
         # A diverged state is reported, not silently replaced by the start of the episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -369,7 +371,7 @@ class MujocoSimulator(Simulator):
 
     def set_creep(self, factor: float) -> None:
         """Set the impedance: a soft contact that sticks moves at friction force / impedance."""
-        self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
+        self.model.opt.impratio = self._impratio / factor
 
     def jacobian_error(self) -> float:
         """Return how far accelerations now depend on how Jacobians are kept, as a share of the largest.

@@ -6,7 +6,6 @@ springs, creep. They are made before the graph of a timestep is captured, and on
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import mujoco
@@ -20,13 +19,13 @@ from ..objects import Shape
 from ..state import Array, Contacts, State
 from . import Scene
 from .batch import MAX_CONTACTS, BatchSimulator
-from .mujoco import FRICTION_TO_NORMAL_IMPEDANCE, GIVERS_GROUP, MujocoSimulator
+from .mujoco import GIVERS_GROUP, MujocoSimulator
 
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
 BY_WORLD = (
     "geom_size", "geom_rbound", "geom_aabb", "geom_friction", "body_mass", "body_inertia",
     "body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_gainprm", "actuator_biasprm",
-    "actuator_actrange",
+    "actuator_actrange", "geom_solref",
 )  # fmt: skip
 HUGE = 1e10  # beyond it MuJoCo warns of a bad state
 
@@ -183,6 +182,14 @@ class WarpSimulator(BatchSimulator):
         self._own["geom_friction"][rows, geom, 0] = self.tensor(friction)
         weights = np.repeat(np.stack([easy, turning], 1), 3, axis=1)
         self._own["dof_invweight0"][rows, -6:] = self.tensor(weights)
+        if skin := self.scene.skin:
+            at, ease = (
+                (rows[:, None], self.plain._skin),
+                self.plain._ease + easy[:, None],
+            )
+            solref = skin.solref(ease, self.scene.timestep)
+            self._own["geom_solref"][at] = self.tensor(solref)
+            self._own["geom_friction"][(*at, 0)] = self.tensor(friction)[:, None]
         self._half_size[rows] = self.tensor(half_size)
         self._weight[rows] = self.tensor(mass * -self.plain.model.opt.gravity[2])
 
@@ -271,7 +278,7 @@ class WarpSimulator(BatchSimulator):
 
     def set_creep(self, factor: Array) -> None:
         """Write the impedance of friction."""
-        invsqrt = np.sqrt(factor) / math.sqrt(FRICTION_TO_NORMAL_IMPEDANCE)
+        invsqrt = np.sqrt(factor / self.plain._impratio)
         self._creep[:] = self.tensor(invsqrt).reshape(self._creep.shape)
 
     def state(self, with_contacts: bool = False) -> State:
