@@ -100,8 +100,12 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             )
         if self.skin_thickness is None:
             validation.allow_only_with("skin_thickness", self, "skin_modulus")
-        elif self.simulator == "pybullet":
+        if self.simulator == "pybullet":
             validation.allow_only_with("simulator mujoco", self, "skin_thickness")
+            if "ellipsoid" in self.object:
+                raise ValueError(
+                    "object: found ellipsoid, allowed only with simulator mujoco"
+                )
         if self.actions == "all":
             validation.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)

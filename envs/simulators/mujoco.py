@@ -45,13 +45,16 @@ SURROUNDINGS = f"""
     <site name="{GIVER}" group="{NOT_DRAWN}"/>
     <body name="{OBJECT}" pos="0 0 {{z!r}}">
       <freejoint name="{OBJECT}"/>
-      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" mass="{{mass!r}}" condim="4" priority="1"
+      {{inertial}}
+      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" zaxis="{{axis}}" mass="{{mass!r}}" condim="4" priority="1"
             friction="{{friction!r}} 0.005 0.001" rgba="0.95 0.45 0.1 {{opacity}}"/>
       <site name="{OBJECT}" group="{NOT_DRAWN}"/>
     </body>
   </worldbody>
   <actuator>{{actuators}}</actuator>
 </mujoco>"""
+# MuJoCo's own has the geom's axes, for which a compiled model that was another object's has no room.
+INERTIAL = '<inertial pos="0 0 0" mass="{!r}" diaginertia="{} {} {}"/>'
 # The priority is for the object's friction: else MuJoCo takes the larger of the two in contact.
 SPRING = f"""
 <general name="{GIVER}{{axis}}" site="{OBJECT}" refsite="{GIVER}" gear="{{gear}}" dyntype="integrator"
@@ -63,7 +66,15 @@ speed that is its control and stays within the activation's range."""
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
-    "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
+    "geom": (
+        "geom_type",
+        "geom_size",
+        "geom_rbound",
+        "geom_aabb",
+        "geom_friction",
+        "geom_quat",
+        "geom_sameframe",
+    ),  # fmt: skip
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
@@ -106,15 +117,19 @@ def _take_textures(spec: mujoco.MjSpec) -> None:
 
 def _surroundings(scene: Scene) -> mujoco.MjSpec:
     """Return what is in a scene besides the hand: ground, light, object and giver."""
-    x, y, z = scene.shape.half_size
+    shape, lies = scene.shape, scene.shape.kind == "capsule"
     springs = [
         SPRING.format(axis=axis, gear="0 " * axis + "1", **vars(scene.giver))
         for axis in range(3 if scene.giver else 0)
     ]
     text = SURROUNDINGS.format(
-        kind=scene.shape.kind,
-        size=f"{x!r} {z!r}" if scene.shape.kind == "cylinder" else f"{x!r} {y!r} {z!r}",
-        z=z,
+        kind=shape.kind,
+        size=" ".join(map(repr, shape.measures)),
+        axis="1 0 0" if lies else "0 0 1",
+        inertial=INERTIAL.format(scene.mass, *scene.mass * shape.inertia)
+        if lies
+        else "",
+        z=shape.half_size[2],
         mass=scene.mass,
         friction=scene.friction,
         opacity=0.6 if scene.visual else 1.0,
