@@ -1,4 +1,4 @@
-"""A soft covering of the hand: a silicone pad's force against depth, as MuJoCo's contacts can follow it.
+"""A soft covering of the hand: how a silicone pad gives way, as MuJoCo's contacts can follow it.
 
 A fingertip that is pressed into a flat pad bonded to a rigid base meets, by Long et al. (Biophysical
 Journal 101:643, 2011: finite elements, incompressible neo-Hookean, depths up to 0.6 of the thickness),
@@ -8,7 +8,7 @@ MuJoCo's contact carries, by its manual ("Computation", "Parameters"),
 
     force = stiffness × depth × d² / ((1 - d) × d_max² × ease),
 
-with the impedance d, which grows with the depth, and `ease` the inverse masses of both sides. Its six
+with the impedance d, which grows with the depth, and `ease` the inverse masses of both sides. Its five
 constants were fitted to the law for x from 0.1 to 2, on which the force is wrong by less than 20 %.
 """
 
@@ -49,10 +49,9 @@ class Skin:
         return LEAST, MOST, WIDTH * self.thickness**2 / RADIUS, 0.0, POWER
 
     def solref(self, ease: Array, timestep: float) -> Array:
-        """Return MuJoCo's `solref` (..., 2) of contacts with these sums of inverse masses (...), 1/kg.
+        """Return MuJoCo's `solref` (..., 2) of contacts with these sums of inverse masses, 1/kg (...).
 
-        Where a spring so stiff would shake at this timestep (s), as under an object of a few grams, it is
-        softer.
+        Where a spring so stiff would shake at this timestep, s, it is softer: under a few grams.
         """
         stiffness = STIFFNESS * self.modulus * self.thickness * ease
         spring = stiffness[..., None] * [1.0, RELAXATION]

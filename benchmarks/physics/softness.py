@@ -98,8 +98,8 @@ def held(hand: str, **skin: float) -> dict[str, Any]:
         grasp = scripted.grasp_for(env)
         for number in range(STARTS):
             start, places = scripted.perturbed_start(env, 0, number), []
-            for is_up in scripted.hold_steps(env, grasp, start, SECONDS):
-                state = env.simulator.state()
+            for is_held in scripted.hold_steps(env, grasp, start, SECONDS):
+                state, is_up = env.simulator.state(), is_held
                 places.append(state.object_position - state.palm)
             holds += is_up
             slips.append(float(np.linalg.norm(places[-1] - places[0])))

@@ -46,8 +46,9 @@ SURROUNDINGS = f"""
     <body name="{OBJECT}" pos="0 0 {{z!r}}">
       <freejoint name="{OBJECT}"/>
       {{inertial}}
-      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" zaxis="{{axis}}" mass="{{mass!r}}" condim="4" priority="1"
-            friction="{{friction!r}} 0.005 0.001" rgba="0.95 0.45 0.1 {{opacity}}"/>
+      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" zaxis="{{axis}}" mass="{{mass!r}}"
+            condim="4" priority="1" friction="{{friction!r}} 0.005 0.001"
+            rgba="0.95 0.45 0.1 {{opacity}}"/>
       <site name="{OBJECT}" group="{NOT_DRAWN}"/>
     </body>
   </worldbody>
@@ -74,7 +75,7 @@ OBJECT_FIGURES = {
         "geom_friction",
         "geom_quat",
         "geom_sameframe",
-    ),  # fmt: skip
+    ),
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.

@@ -167,8 +167,9 @@ class WarpSimulator(BatchSimulator):
         inertia, easy = mass[:, None] * shape.inertia, 1 / mass
         turning = (1 / inertia).mean(1)
         for name, index, value in (
-            ("geom_size", geom, np.stack(shape.measures, 1)), ("geom_rbound", geom, bound), ("body_mass", body, mass),
-            ("body_subtreemass", body, mass), ("body_inertia", body, inertia),
+            ("geom_size", geom, np.stack(shape.measures, 1)), ("geom_rbound", geom, bound),
+            ("body_mass", body, mass), ("body_subtreemass", body, mass),
+            ("body_inertia", body, inertia),
             ("body_invweight0", body, np.stack([easy, turning], 1)),
         ):  # fmt: skip
             self._own[name][rows, index] = self.tensor(value)
