@@ -3,7 +3,7 @@
 A sphere of a fingertip's radius is pressed into the MPL hand's palm, and thrown at it; the scripted
 grasps are held for 5 s. Depths are compared with Long et al.'s finite elements for a pad on a rigid
 base. Moduli are neo-Hookean fits up to a strain of 0.5 to tensile tests of the Soft Robotics Materials
-Database (Marechal et al., Soft Robotics 8:284, 2021, doi.org/10.1089/soro.2019.0115):
+Database (Marechal et al., 2020, doi.org/10.1089/soro.2019.0115):
 
     python -m benchmarks softness --out docs/data/softness.json
 """
