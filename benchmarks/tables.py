@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.peers import env, solve, updates
-from benchmarks.physics import forces, hands, hard_cases, hold_verdict, speed_vs_error
+from benchmarks.physics import forces, hands, hard_cases, hold_verdict, softness, speed_vs_error
 from benchmarks.studies import gates, learner_tables, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -52,6 +52,8 @@ PRINTED: dict[str, Callable[[], None]] = {
     },
     "hands": _of("hands", hands.show),
     "hard cases": _of("hard_cases", hard_cases.show),
+    "softness": _of("softness", softness.show),
+    "softness grasps": _of("softness", softness.show_grasps),
     **learner_tables.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,

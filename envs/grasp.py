@@ -24,6 +24,7 @@ from . import (
 from .objects import ObjectConfig, Shape
 from .observations import ObservationConfig, Observer
 from .simulators import SimulationError, Sphere
+from .skin import Skin
 from .state import Array, State
 from .tasks import TaskConfig
 from .validation import blamed, require_known, require_one_of
@@ -66,6 +67,10 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: Annotated[float, "[1e-06, 0.1]"] = 0.004
     """Physics step, s."""
+    skin_thickness: Annotated[float, "[0.002, 0.004]"] | None = None
+    """Thickness of a soft covering of the hand, m (MuJoCo); none by default."""
+    skin_modulus: Annotated[float, "[10000, 1000000]"] = 140_000.0
+    """Young's modulus of the covering, Pa: Dragon Skin 10's; Ecoflex 00-30 has 46000."""
 
     def __post_init__(self) -> None:
         """Convert what JSON, TOML and NumPy have instead of these types."""
@@ -96,6 +101,14 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
                 self,
                 *(f"taxel_{name}" for name in sensors.OF_FIRING),
             )
+        if self.skin_thickness is None:
+            validation.allow_only_with("skin_thickness", self, "skin_modulus")
+        if self.simulator == "pybullet":
+            validation.allow_only_with("simulator mujoco", self, "skin_thickness")
+            if "ellipsoid" in self.object:
+                raise ValueError(
+                    "object: found ellipsoid, allowed only with simulator mujoco"
+                )
         if self.actions == "all":
             validation.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)
@@ -189,6 +202,9 @@ class GraspEnv(gym.Env[Any, Array]):
             rise=self.task.rise + max(0.0, items.height - self.hand.start_clearance),
             sensors=touch.sensors(self.taxels) if self._touch.by_sensors else (),
             giver=self.task.giver,
+            skin=Skin(config.skin_thickness, config.skin_modulus)
+            if config.skin_thickness
+            else None,
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)

@@ -129,13 +129,11 @@ class Distances:
         `position` (3,) and `rotation` (3, 3) are of the geom's link, `centre` and `turn` of the object.
         """
         model, data = self.model, self.data
-        x, _, z = shape.half_size
         item = model.geom(shape.kind).id
-        model.geom_size[item] = (
-            (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
-        )
+        model.geom_size[item] = shape.measures
         model.geom_rbound[item] = float(np.linalg.norm(shape.half_size))
-        data.geom_xpos[item], data.geom_xmat[item] = centre, turn.ravel()
+        axes = turn[:, [1, 2, 0]] if shape.kind == "capsule" else turn
+        data.geom_xpos[item], data.geom_xmat[item] = centre, axes.ravel()
         place, axes = self._places[0][geom], self._places[1][geom].reshape(3, 3)
         data.geom_xpos[geom] = position + rotation @ place
         data.geom_xmat[geom] = (rotation @ axes).ravel()

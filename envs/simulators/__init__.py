@@ -15,6 +15,7 @@ import numpy as np
 from .. import plugins
 from ..hands import Hand
 from ..objects import Shape
+from ..skin import Skin
 from ..state import Array, State, places
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ class Scene:
     sensors: tuple[Sensor, ...] = ()
     giver: Giver | None = None
     """Giver that may carry the object."""
+    skin: Skin | None = None
+    """Soft covering of the hand."""
     visual: bool = False
     """True to keep the meshes that only pictures need."""
 

@@ -45,13 +45,17 @@ SURROUNDINGS = f"""
     <site name="{GIVER}" group="{NOT_DRAWN}"/>
     <body name="{OBJECT}" pos="0 0 {{z!r}}">
       <freejoint name="{OBJECT}"/>
-      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" mass="{{mass!r}}" condim="4" priority="1"
-            friction="{{friction!r}} 0.005 0.001" rgba="0.95 0.45 0.1 {{opacity}}"/>
+      {{inertial}}
+      <geom name="{OBJECT}" type="{{kind}}" size="{{size}}" zaxis="{{axis}}" mass="{{mass!r}}"
+            condim="4" priority="1" friction="{{friction!r}} 0.005 0.001"
+            rgba="0.95 0.45 0.1 {{opacity}}"/>
       <site name="{OBJECT}" group="{NOT_DRAWN}"/>
     </body>
   </worldbody>
   <actuator>{{actuators}}</actuator>
 </mujoco>"""
+# MuJoCo's own has the geom's axes, for which a compiled model that was another object's has no room.
+INERTIAL = '<inertial pos="0 0 0" mass="{!r}" diaginertia="{} {} {}"/>'
 # The priority is for the object's friction: else MuJoCo takes the larger of the two in contact.
 SPRING = f"""
 <general name="{GIVER}{{axis}}" site="{OBJECT}" refsite="{GIVER}" gear="{{gear}}" dyntype="integrator"
@@ -63,7 +67,15 @@ speed that is its control and stays within the activation's range."""
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
-    "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
+    "geom": (
+        "geom_type",
+        "geom_size",
+        "geom_rbound",
+        "geom_aabb",
+        "geom_friction",
+        "geom_quat",
+        "geom_sameframe",
+    ),
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
@@ -75,6 +87,7 @@ DIVERGENCE_WARNINGS = [
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
 # ratio 1 a held cube slides out of the fingers within the 20 s of a hold test.
 FRICTION_TO_NORMAL_IMPEDANCE = 100.0
+SKINS = 3.0  # times as much with a soft skin, so that it creeps no faster
 
 
 def build_spec(scene: Scene) -> mujoco.MjSpec:
@@ -85,7 +98,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.iterations = SOLVER_ITERATIONS
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
-    spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
+    spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE * (SKINS if scene.skin else 1)
     _take_textures(spec)
     with model_file.quiet():
         spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
@@ -105,15 +118,19 @@ def _take_textures(spec: mujoco.MjSpec) -> None:
 
 def _surroundings(scene: Scene) -> mujoco.MjSpec:
     """Return what is in a scene besides the hand: ground, light, object and giver."""
-    x, y, z = scene.shape.half_size
+    shape, lies = scene.shape, scene.shape.kind == "capsule"
     springs = [
         SPRING.format(axis=axis, gear="0 " * axis + "1", **vars(scene.giver))
         for axis in range(3 if scene.giver else 0)
     ]
     text = SURROUNDINGS.format(
-        kind=scene.shape.kind,
-        size=f"{x!r} {z!r}" if scene.shape.kind == "cylinder" else f"{x!r} {y!r} {z!r}",
-        z=z,
+        kind=shape.kind,
+        size=" ".join(map(repr, shape.measures)),
+        axis="1 0 0" if lies else "0 0 1",
+        inertial=INERTIAL.format(scene.mass, *scene.mass * shape.inertia)
+        if lies
+        else "",
+        z=shape.half_size[2],
         mass=scene.mass,
         friction=scene.friction,
         opacity=0.6 if scene.visual else 1.0,
@@ -238,6 +255,7 @@ class MujocoSimulator(Simulator):
         """Build a scene."""
         super().__init__(scene)
         self.model = model_file.compiled(build_spec(scene))
+        self._impratio = self.model.opt.impratio
         _set_mean_inertia(self.model)
         # A diverged state is reported, not silently replaced by the start of the episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -263,6 +281,9 @@ class MujocoSimulator(Simulator):
             model.body(body).name for body in range(1, self._object_body)
         )
         self._link_of_geom = (model.geom_bodyid - 1).tolist()
+        on_hand = (model.geom_bodyid > 0) & (model.geom_bodyid < self._object_body)
+        self._skin = np.flatnonzero(on_hand) if scene.skin else np.zeros(0, int)
+        self._cover()
 
     @property
     def warnings(self) -> int:  # type: ignore[override]
@@ -288,6 +309,18 @@ class MujocoSimulator(Simulator):
         ]
         mujoco.mj_setConst(model, self.data)
         _set_mean_inertia(model)
+        self._cover()
+
+    def _cover(self) -> None:
+        """Make contacts with the hand as soft as its skin, with the object's friction."""
+        if skin := self.scene.skin:
+            model, geoms = self.model, self._skin
+            model.geom_priority[geoms], model.geom_condim[geoms] = 2, 4
+            model.geom_friction[geoms] = model.geom_friction[self._object_geom]
+            model.geom_solimp[geoms] = skin.solimp
+            self._ease = model.body_invweight0[model.geom_bodyid[geoms], 0]
+            ease = self._ease + 1 / self.scene.mass
+            model.geom_solref[geoms] = skin.solref(ease, self.scene.timestep)
 
     def _begin(
         self, joint_positions: Array, object_position: Array, yaw: float
@@ -354,7 +387,7 @@ class MujocoSimulator(Simulator):
 
     def set_creep(self, factor: float) -> None:
         """Set the impedance: a soft contact that sticks moves at friction force / impedance."""
-        self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
+        self.model.opt.impratio = self._impratio / factor
 
     def jacobian_error(self) -> float:
         """Return how far accelerations now depend on how Jacobians are kept, as a share of the largest.

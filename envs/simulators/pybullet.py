@@ -125,9 +125,13 @@ class PyBulletSimulator(Simulator):
             self._joint_index[info[1].decode()] = index
             self._links[info[12].decode()] = index
         self._body(0.0, {"shapeType": pybullet.GEOM_PLANE}, lateralFriction=1.0)
+        own = {}
+        if scene.shape.kind == "capsule":  # Bullet takes its box's
+            own["localInertiaDiagonal"] = (scene.mass * scene.shape.inertia).tolist()
         self.object = self._body(
             scene.mass,
             _measures(scene.shape),
+            **own,
             lateralFriction=scene.friction,
             spinningFriction=SPINNING_FRICTION,
             frictionAnchor=FRICTION_ANCHOR,
@@ -359,4 +363,7 @@ def _measures(shape: Shape) -> dict[str, Any]:
         return {"shapeType": pybullet.GEOM_SPHERE, "radius": x}
     if shape.kind == "cylinder":
         return {"shapeType": pybullet.GEOM_CYLINDER, "radius": x, "height": 2 * z}
+    if shape.kind == "capsule":
+        lying = {"collisionFrameOrientation": [0.5] * 4, "height": 2 * (x - z)}
+        return {"shapeType": pybullet.GEOM_CAPSULE, "radius": z, **lying}
     return {"shapeType": pybullet.GEOM_BOX, "halfExtents": list(shape.half_size)}

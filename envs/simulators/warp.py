@@ -6,7 +6,6 @@ springs, creep. They are made before the graph of a timestep is captured, and on
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import mujoco
@@ -20,13 +19,13 @@ from ..objects import Shape
 from ..state import Array, Contacts, State
 from . import Scene
 from .batch import MAX_CONTACTS, BatchSimulator
-from .mujoco import FRICTION_TO_NORMAL_IMPEDANCE, GIVERS_GROUP, MujocoSimulator
+from .mujoco import GIVERS_GROUP, MujocoSimulator
 
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
 BY_WORLD = (
     "geom_size", "geom_rbound", "geom_aabb", "geom_friction", "body_mass", "body_inertia",
     "body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_gainprm", "actuator_biasprm",
-    "actuator_actrange",
+    "actuator_actrange", "geom_solref",
 )  # fmt: skip
 HUGE = 1e10  # beyond it MuJoCo warns of a bad state
 
@@ -160,29 +159,33 @@ class WarpSimulator(BatchSimulator):
             self.plain._object_geom,
             self._indices(which),
         )
-        x, y, z = half_size.T
-        if self.kind == "sphere":
-            size, bound = np.stack([x, 0 * x, 0 * x], 1), x
-            inertia = np.stack([0.4 * x**2] * 3, 1)
-        elif self.kind == "cylinder":
-            size, bound = np.stack([x, z, 0 * x], 1), np.hypot(x, z)
-            across = x**2 / 4 + z**2 / 3
-            inertia = np.stack([across, across, x**2 / 2], 1)
-        else:
-            size, bound = half_size, np.linalg.norm(half_size, axis=1)
-            inertia = np.stack([y**2 + z**2, x**2 + z**2, x**2 + y**2], 1) / 3
-        inertia, easy = mass[:, None] * inertia, 1 / mass
+        shape = Shape(self.kind, tuple(half_size.T))
+        bound = half_size.max(axis=1)
+        if self.kind in ("box", "cylinder"):
+            across = [0, 2] if self.kind == "cylinder" else [0, 1, 2]
+            bound = np.linalg.norm(half_size[:, across], axis=1)
+        inertia, easy = mass[:, None] * shape.inertia, 1 / mass
         turning = (1 / inertia).mean(1)
         for name, index, value in (
-            ("geom_size", geom, size), ("geom_rbound", geom, bound), ("body_mass", body, mass),
-            ("body_subtreemass", body, mass), ("body_inertia", body, inertia),
+            ("geom_size", geom, np.stack(shape.measures, 1)), ("geom_rbound", geom, bound),
+            ("body_mass", body, mass), ("body_subtreemass", body, mass),
+            ("body_inertia", body, inertia),
             ("body_invweight0", body, np.stack([easy, turning], 1)),
         ):  # fmt: skip
             self._own[name][rows, index] = self.tensor(value)
-        self._own["geom_aabb"][rows, geom, 1] = self.tensor(half_size)
+        around = half_size[:, ::-1].copy() if self.kind == "capsule" else half_size
+        self._own["geom_aabb"][rows, geom, 1] = self.tensor(around)
         self._own["geom_friction"][rows, geom, 0] = self.tensor(friction)
         weights = np.repeat(np.stack([easy, turning], 1), 3, axis=1)
         self._own["dof_invweight0"][rows, -6:] = self.tensor(weights)
+        if skin := self.scene.skin:
+            at, ease = (
+                (rows[:, None], self.plain._skin),
+                self.plain._ease + easy[:, None],
+            )
+            solref = skin.solref(ease, self.scene.timestep)
+            self._own["geom_solref"][at] = self.tensor(solref)
+            self._own["geom_friction"][(*at, 0)] = self.tensor(friction)[:, None]
         self._half_size[rows] = self.tensor(half_size)
         self._weight[rows] = self.tensor(mass * -self.plain.model.opt.gravity[2])
 
@@ -271,7 +274,7 @@ class WarpSimulator(BatchSimulator):
 
     def set_creep(self, factor: Array) -> None:
         """Write the impedance of friction."""
-        invsqrt = np.sqrt(factor) / math.sqrt(FRICTION_TO_NORMAL_IMPEDANCE)
+        invsqrt = np.sqrt(factor / self.plain._impratio)
         self._creep[:] = self.tensor(invsqrt).reshape(self._creep.shape)
 
     def state(self, with_contacts: bool = False) -> State:

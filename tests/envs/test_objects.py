@@ -6,11 +6,12 @@ from tactilerl import envs
 from tactilerl.envs.objects import make
 
 VARIED = {
-    "object": "box,sphere,cylinder",
-    "object_size": "0.04..0.05",
+    "object_size": "0.025..0.033",  # capsules are half as long again
     "object_density": "400..800",
     "friction": "0.5..1",
 }
+SOLIDS = {"mujoco": "box,sphere,cylinder,capsule,ellipsoid", "pybullet": "box,sphere,cylinder,capsule"}
+SOFT = {"skin_thickness": 0.003}
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet"), ("mpl", "mujoco")]
 
 
@@ -27,40 +28,48 @@ def rollout(env, seed, n=6):
     return np.array(seen), info
 
 
-@pytest.mark.parametrize(("hand", "simulator"), BOTH)
-def test_an_episode_is_that_of_an_environment_made_for_its_object(hand, simulator):
+@pytest.mark.parametrize(
+    ("hand", "simulator", "skin"), [*((*both, {}) for both in BOTH), (*BOTH[-1], SOFT)]
+)
+def test_an_episode_is_that_of_an_environment_made_for_its_object(hand, simulator, skin):
     """Bit for bit, whatever was in the scene before."""
-    choices = {"simulator": simulator, "task": "reach-goal", "max_episode_steps": 6, "layout": "1"}
-    varied = envs.make(hand, **choices, **VARIED)
+    choices = {
+        "simulator": simulator,
+        "task": "reach-goal",
+        "max_episode_steps": 6,
+        "layout": "1",
+        **skin,
+    }
+    varied = envs.make(hand, **choices, **VARIED, object=SOLIDS[simulator])
     kinds = set()
-    for seed in range(6):
+    for seed in range(12):
         told = varied.reset(seed=seed)[1]["object"]
         kinds.add(told["kind"])
         seen, info = rollout(varied, seed)
         assert info["object"] == told
-        size = told["size"][:1] if told["kind"] != "cylinder" else told["size"][1:]
+        size = told["size"][1:] if told["kind"] == "cylinder" else told["size"][1:2]
         alike = envs.make(
             hand, **choices, object=told["kind"], object_size=tuple(size),
             object_density=told["density"], friction=told["friction"],
         )  # fmt: skip
         assert alike.reset(seed=seed)[1]["object"] == told
         np.testing.assert_array_equal(seen, rollout(alike, seed)[0])
-    assert kinds == {"box", "sphere", "cylinder"}
+    assert kinds == {*SOLIDS[simulator].split(",")}
 
 
 @pytest.mark.parametrize(("hand", "simulator"), BOTH)
 def test_objects_are_drawn_within_what_was_asked_for_and_starts_stay(hand, simulator):
-    varied = envs.make(hand, simulator=simulator, **VARIED)
+    varied = envs.make(hand, simulator=simulator, **VARIED, object=SOLIDS[simulator])
     seen = [varied.reset(seed=seed)[1]["object"] for seed in range(40)]
     assert varied.reset(seed=7)[1]["object"] == seen[7]
-    assert {item["kind"] for item in seen} == {"box", "sphere", "cylinder"}
+    assert {item["kind"] for item in seen} == {*SOLIDS[simulator].split(",")}
     for name, low, high in (("density", 400, 800), ("friction", 0.5, 1)):
         values = [item[name] for item in seen]
         assert low <= min(values) < low + 0.2 * (high - low) < high - 0.2 * (high - low) < max(values)
-    edges = np.array([item["size"] for item in seen])
-    assert 0.04 <= edges.min() < 0.042 < 0.048 < edges.max() <= 0.05
+    edges = np.array([item["size"][1:] for item in seen])
+    assert 0.025 <= edges.min() < 0.026 < 0.032 < edges.max() <= 0.033
     for item in seen:
-        shape = make(item["kind"], tuple(item["size"][:1]))
+        shape = make(item["kind"], tuple(item["size"][1:2]))
         assert item["mass"] == pytest.approx(item["density"] * shape.volume)
     varied.reset(seed=3)
     height = varied.simulator.state().object_position[2]

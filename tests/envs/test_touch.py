@@ -7,10 +7,12 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface
+from tactilerl.envs.hands.geometry import Distances, Geom
 from tactilerl.envs.state import Contacts
 from tactilerl.envs.taxel_files import Point
 
@@ -116,8 +118,8 @@ def test_skin_is_the_shape_that_the_simulators_collide(hand):
 @pytest.fixture(params=objects.KINDS)
 def solid(request):
     """A shape, and many points of the box around it that lie inside (n, 3)."""
-    sizes = {"box": (0.02, 0.04, 0.06), "sphere": (0.04,), "cylinder": (0.04, 0.06)}
-    shape = objects.make(request.param, sizes[request.param])
+    sizes = {"sphere": (0.04,), "cylinder": (0.04, 0.06), "capsule": (0.03, 0.04)}
+    shape = objects.make(request.param, sizes.get(request.param, (0.02, 0.04, 0.06)))
     points = np.random.default_rng(0).uniform(-1, 1, (200_000, 3)) * shape.half_size
     return shape, points[shape.squared_distance(points) == 0]
 
@@ -126,6 +128,8 @@ def test_volume_is_that_of_the_points_inside(solid):
     shape, inside = solid
     share = len(inside) / 200_000
     assert share * np.prod(shape.half_size) * 8 == pytest.approx(shape.volume, rel=0.01)
+    squares = (inside**2).mean(axis=0)
+    np.testing.assert_allclose(shape.inertia, squares.sum() - squares, rtol=0.01)
 
 
 def test_distance_to_a_shape_is_that_to_the_nearest_of_many_points_inside(solid):
@@ -136,6 +140,40 @@ def test_distance_to_a_shape_is_that_to_the_nearest_of_many_points_inside(solid)
         distance = np.sqrt(shape.squared_distance(point[None])[0])
         assert distance <= nearest + 1e-12
         assert nearest - distance < 3e-3
+        is_near = mujocos_distance(shape, point) - distance
+        assert abs(is_near) < 1e-6
+
+
+def mujocos_distance(shape, point):
+    """What MuJoCo says that a point is away from a shape, by halving an interval."""
+    speck = Geom("sphere", (1e-9, 0, 0), tuple(point), tuple(map(tuple, np.eye(3))), ())
+    distances, (low, high) = Distances([speck]), (0.0, 0.2)
+    for _ in range(30):
+        middle = (low + high) / 2
+        origin = np.zeros(3), np.eye(3)
+        if distances.within(0, *origin, shape, *origin, middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@pytest.mark.parametrize("axes", [(0.08, 0.03, 0.03), (0.08, 0.08, 0.01), (0.004, 0.08, 0.1)])
+def test_distance_to_an_ellipsoid_of_odd_aspect(axes):
+    """Points a known way out along the normals of points on it, both in NumPy and in PyTorch."""
+    shape, rng = objects.make("ellipsoid", axes), np.random.default_rng(0)
+    half = np.array(shape.half_size)
+    on_ball = rng.standard_normal((1000, 3))
+    on_ball /= np.linalg.norm(on_ball, axis=1)[:, None]
+    normals = on_ball / half
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    away = rng.choice([1e-5, 1e-3, 0.05], (1000, 1))
+    points = half * on_ball + away * normals
+    many = objects.Shape("ellipsoid", tuple(torch.as_tensor(half).repeat(2, 1).T))
+    in_torch = many.squared_distance(torch.as_tensor(points).reshape(2, -1, 3)).numpy()
+    for found in (shape.squared_distance(points), in_torch.ravel()):
+        np.testing.assert_allclose(np.sqrt(found), away[:, 0], rtol=0, atol=1e-8)
+    assert not shape.squared_distance(0.999 * half * on_ball).any()
 
 
 def test_half_height_is_that_of_the_lowest_point(solid):
