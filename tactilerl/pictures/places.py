@@ -10,10 +10,19 @@ import numpy as np
 
 from ..envs import validation
 from ..envs.hands import Hand, Surface
+from ..envs.hands.geometry import placed, posed
 from ..envs.layouts import Layout, Patch, Taxels, load, mm
 
 Spacing = Annotated[float, "[0.5, 50]"]
 """Distance of the taxels of a dense skin, mm."""
+
+
+DIGIT_WORDS = {name: f"{name} finger" for name in ("index", "middle", "ring", "little")}
+SEGMENT_WORDS = {
+    "proximal": "base segment",
+    "middle": "middle segment",
+    "distal": "tip",
+}
 
 
 class Place(NamedTuple):
@@ -35,6 +44,49 @@ def of(taxels: Taxels) -> list[Place]:
         Place(index, mm(row), mm(column), mm(radius), mm(height))
         for index, (row, column, height), radius in figures
     ]
+
+
+def described(taxels: Taxels, hand: Hand) -> list[str]:
+    """Return where the taxels are in the words of a workshop, from the middle of their segments."""
+    model, start = hand.build().compile(), hand.start_positions()
+    data = posed(model, dict(zip(hand.joints, start, strict=True)))
+    fingers = [s for s in hand.surfaces if s.segment != "palm" and s.digit != "thumb"]
+    thumb = [s for s in hand.surfaces if s.segment != "palm" and s.digit == "thumb"]
+
+    def distance(surface: Surface, column: float, other: Surface) -> float:
+        """Return how far a column, mm, of a surface is from the middle of another one, m."""
+        there = np.add(surface.centre, 1e-3 * column * surface.across)
+        middle = placed(data, other.link, other.centre)
+        return float(np.linalg.norm(placed(data, surface.link, there) - middle))
+
+    def side(surface: Surface, column: float) -> str:
+        if not (thumb and fingers):
+            return "to the right" if column > 0 else "to the left"
+        aim, name = (
+            (fingers[0], "fingers")
+            if surface.digit == "thumb"
+            else (thumb[-1], "thumb")
+        )
+        is_near = distance(surface, column, aim) < distance(surface, -column, aim)
+        return f"{'towards' if is_near else 'away from'} the {name}"
+
+    words = []
+    for place in of(taxels):
+        surface, row, column = hand.surfaces[place.surface], place.row, place.column
+        digit = DIGIT_WORDS.get(surface.digit, surface.digit)
+        parts = [digit, SEGMENT_WORDS.get(surface.segment, surface.segment)]
+        ends = "the tip", "the palm"
+        if surface.segment == "palm":
+            parts = ["palm"] if digit == "palm" else ["palm", f"under the {digit}"]
+            ends = "the fingers", "the wrist"
+        if row:
+            parts.append(f"{abs(row):.3g} mm towards {ends[row < 0]}")
+        if column:
+            parts.append(f"{abs(column):.3g} mm {side(surface, column)}")
+        if not (row or column):
+            parts.append("in the middle")
+        words.append(", ".join(parts))
+    return words
 
 
 def skin(name: str, hand: Hand) -> Taxels:
