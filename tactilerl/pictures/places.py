@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,8 @@ Spacing = Annotated[float, "[0.5, 50]"]
 """Distance of the taxels of a dense skin, mm."""
 
 
-DIGIT_WORDS = {name: f"{name} finger" for name in ("index", "middle", "ring", "little")}
-SEGMENT_WORDS = {
+DIGITS = {name: f"{name} finger" for name in ("index", "middle", "ring", "little")}
+SEGMENTS = {
     "proximal": "base segment",
     "middle": "middle segment",
     "distal": "tip",
@@ -46,46 +46,43 @@ def of(taxels: Taxels) -> list[Place]:
     ]
 
 
+def at_start(hand: Hand) -> Any:
+    """Return MuJoCo's data of the hand alone, as it is at the start."""
+    angles = zip(hand.joints, hand.start_positions(), strict=True)
+    return posed(hand.build().compile(), dict(angles))
+
+
 def described(taxels: Taxels, hand: Hand) -> list[str]:
     """Return where the taxels are in the words of a workshop, from the middle of their segments."""
-    model, start = hand.build().compile(), hand.start_positions()
-    data = posed(model, dict(zip(hand.joints, start, strict=True)))
-    fingers = [s for s in hand.surfaces if s.segment != "palm" and s.digit != "thumb"]
-    thumb = [s for s in hand.surfaces if s.segment != "palm" and s.digit == "thumb"]
-
-    def distance(surface: Surface, column: float, other: Surface) -> float:
-        """Return how far a column, mm, of a surface is from the middle of another one, m."""
-        there = np.add(surface.centre, 1e-3 * column * surface.across)
-        middle = placed(data, other.link, other.centre)
-        return float(np.linalg.norm(placed(data, surface.link, there) - middle))
+    data = at_start(hand)
+    digits = [surface for surface in hand.surfaces if surface.segment != "palm"]
+    aims = {
+        "thumb": [surface for surface in digits if surface.digit == "thumb"][-1:],
+        "fingers": [surface for surface in digits if surface.digit != "thumb"][:1],
+    }
 
     def side(surface: Surface, column: float) -> str:
-        if not (thumb and fingers):
-            return "to the right" if column > 0 else "to the left"
-        aim, name = (
-            (fingers[0], "fingers")
-            if surface.digit == "thumb"
-            else (thumb[-1], "thumb")
-        )
-        is_near = distance(surface, column, aim) < distance(surface, -column, aim)
-        return f"{'towards' if is_near else 'away from'} the {name}"
+        """Tell on which side of a surface a column is."""
+        name = "fingers" if surface.digit == "thumb" else "thumb"
+        middle = placed(data, surface.link, surface.centre)
+        across = placed(data, surface.link, surface.centre + surface.across) - middle
+        for aim in aims[name]:
+            ahead = (placed(data, aim.link, aim.centre) - middle) @ across
+            return f"{'towards' if column * ahead > 0 else 'away from'} the {name}"
+        return "to the right" if column > 0 else "to the left"
 
     words = []
     for place in of(taxels):
         surface, row, column = hand.surfaces[place.surface], place.row, place.column
-        digit = DIGIT_WORDS.get(surface.digit, surface.digit)
-        parts = [digit, SEGMENT_WORDS.get(surface.segment, surface.segment)]
-        ends = "the tip", "the palm"
+        digit, ends = DIGITS.get(surface.digit, surface.digit), ("tip", "palm")
+        parts = [digit, SEGMENTS.get(surface.segment, surface.segment)]
         if surface.segment == "palm":
-            parts = ["palm"] if digit == "palm" else ["palm", f"under the {digit}"]
-            ends = "the fingers", "the wrist"
+            parts, ends = ["palm", f"under the {digit}"], ("fingers", "wrist")
         if row:
-            parts.append(f"{abs(row):.3g} mm towards {ends[row < 0]}")
+            parts.append(f"{abs(row):.3g} mm towards the {ends[row < 0]}")
         if column:
             parts.append(f"{abs(column):.3g} mm {side(surface, column)}")
-        if not (row or column):
-            parts.append("in the middle")
-        words.append(", ".join(parts))
+        words.append(", ".join(parts if row or column else [*parts, "in the middle"]))
     return words
 
 

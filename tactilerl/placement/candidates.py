@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ..envs import hands, layouts, scenes, sensors, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand, Surface
-from ..envs.hands.geometry import placed, posed
+from ..envs.hands.geometry import placed
 from ..envs.layouts import Taxels
 from ..envs.observations import TaxelFaults
 from ..envs.sensors import Cost
@@ -31,7 +31,6 @@ TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just f
 ANGLES = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
 """Directions in which the margin of a taxel is looked at, rad."""
 KINDS = ("taxel", "digit", "segment")
-IN_A_GROUP = "taxels, digits or segments"
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
 
@@ -250,10 +249,7 @@ def overlap(hand: Hand, taxels: Taxels) -> Array:
     The skin between two taxels turns like an arc: of the line between them, the part in the direction
     in which their normals differ is a chord. That is exact on planes, cylinders and spheres.
     """
-    data = posed(
-        hand.build().compile(),
-        dict(zip(hand.joints, hand.start_positions(), strict=True)),
-    )
+    data = places.at_start(hand)
     points = np.array([placed(data, p.link, p.position) for p in taxels.points])
     normals = np.array(
         [placed(data, p.link, p.normal) - data.body(p.link).xpos for p in taxels.points]
@@ -325,16 +321,7 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
         segments = set().union(*(_names(surface) for surface in hand.surfaces))
         if not groups:
             raise ValueError("group: found none, allowed one or more")
-        require_distinct("group", [group.name for group in groups])
         for group in groups:
-            if not group.name.strip():
-                raise ValueError(
-                    "group: found one without a name, allowed a name for each"
-                )
-            if not (group.digits or group.segments or group.taxels):
-                raise ValueError(
-                    f"group {group.name}: found nothing in it, allowed {IN_A_GROUP}"
-                )
             require_known(group.digits, hand.digits)
             require_known(group.segments, segments)
             require_known(group.taxels, taxels.names)

@@ -112,13 +112,10 @@ class Design:
     def sentences(self) -> list[str]:
         """Say for each sensor whether touch pays and from which set on, and which sensor is better."""
         said = []
-        by_sensor: dict[str | None, dict[float, tuple[float, float]]] = {}
         for use in self.uses:
             chosen = [row for row in use.rows(self.rows) if row.layout == "chosen"]
             paying = [row for row in chosen if gate.pays(row.success, use.blind)]
             row = paying[0] if paying else max(chosen, key=lambda row: row.success)
-            best = max(row.success for row in chosen), use.blind
-            by_sensor.setdefault(use.sensor, {})[use.threshold or 0.0] = best
             verdict = f"Touch {'pays' if paying else 'does not pay'}{use.at}"
             if paying and len(chosen) > 1:
                 verdict += f" from {_taxels(row)} on"
@@ -138,10 +135,6 @@ class Design:
                 "Best set of {}, success less that of {} in the same starts: {:+.2f} ({:+.2f} to "
                 "{:+.2f}).".format(sensor, self.uses[0].sensor, *difference)
             )
-        for sensor, rates in by_sensor.items():
-            if len(rates) > 1:
-                about = f" of {sensor}" if sensor else ""
-                said.append(f"Best sets{about}: {gate.where_touch_stops(rates)}")
         return said
 
     def layout(self, key: float) -> Layout:
