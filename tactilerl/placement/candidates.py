@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -58,7 +59,7 @@ class DesignFlags:
     """Physics engine: mujoco or pybullet; default: the scene's."""
     sensor: tuple[str, ...] = ()
     """Sensors, by name or .toml file: their radius, threshold, delay and price. With several, each has
-    rows of its own, on the same starts."""
+    a table of its own, on the same starts."""
     budget: Annotated[float, "(0, inf)"] | None = None
     """Money for taxels and boards, in the currency of the sensor's [cost]; the table shows what each
     sum below it buys."""
@@ -83,7 +84,7 @@ class DesignFlags:
     """A layout whose taxels the hand has already; they count."""
     taxel_threshold: tuple[Newtons, ...] = ()
     """Force from which a taxel fires, N; default: the sensor's, the scene's, or any touch. With
-    several, the table has rows for each, and a sentence says from which on touch no longer helps."""
+    several, there is a table for each."""
     survives: str = ""
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
@@ -103,21 +104,24 @@ class DesignFlags:
 
     def kinds(self, scene: GraspConfig) -> list[Kind]:
         """Return all sensors to compare, each with every threshold; what none says is the scene's."""
-        usual = {
-            "threshold": scene.taxel_threshold,
-            "delay": scene.taxel_delay * scene.control_dt,
-        }
         kinds = []
-        for file in map(sensors.load, self.sensor) if self.sensor else [None]:
-            for force in self.taxel_threshold or (None,):
-                flags = {
-                    "radius": self.radius and 1e-3 * self.radius,
-                    "threshold": force,
-                }
-                values: dict[str, Any] = {}
-                for known in (usual, vars(file) if file else {}, flags):
-                    values |= {key: x for key, x in known.items() if x is not None}
-                kinds.append(Kind(*map(values.get, Kind._fields)))
+        for name, force in product(
+            self.sensor or ("",), self.taxel_threshold or (None,)
+        ):
+            file = vars(sensors.load(name)) if name else {}
+            known = file.get
+            if known("delay") is None:
+                file["delay"] = scene.taxel_delay * scene.control_dt
+            thresholds = force, known("threshold"), scene.taxel_threshold
+            kinds.append(
+                Kind(
+                    name=known("name"),
+                    radius=1e-3 * self.radius if self.radius else known("radius"),
+                    threshold=next((x for x in thresholds if x is not None), None),
+                    delay=file["delay"],
+                    cost=known("cost"),
+                )
+            )
         return kinds
 
     @property

@@ -525,12 +525,17 @@ class TestCommand:
         )
         Path("hard.toml").write_text("[sensor]\nthreshold_N = 99.0\n[cost]\neach = 20.0\n")
         args = ["design", "--scene", "handover", *FEW, "--boards", "segment", "--budget", "40"]
-        assert main([*args, "--sensor", "pad.toml", "hard.toml"]) == 0
-        said = " ".join(capsys.readouterr().out.split())
-        assert "Touch pays with pad" in said
-        assert "│ 1 │ 16 │ chosen" in said
+        assert main([*args, "--sensor", "pad.toml", "hard.toml", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert [row["sensor"] for row in found["rows"] if row["layout"] == "no touch"] == [
+            "pad",
+            "hard",
+        ]
+        chosen = [row for row in found["rows"] if row["layout"] == "chosen"]
+        assert (chosen[0]["price"], chosen[-1]["price"]) == (16, 20)
+        assert chosen[0]["success"] > chosen[-1]["success"] == 0
+        said = found["verdict"]
         assert "Touch does not pay with hard at 99 N: with 1 taxel for 20 chosen" in said
-        assert said.count("no touch") == 2
         assert "Best set of hard, success less that of pad in the same starts: -" in said
         assert main([*args, "--sensor", "pad.toml", "--out", "best.toml"]) == 0
         best = layouts.load("best.toml").place(hands.get("mpl"))
