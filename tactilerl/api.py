@@ -236,14 +236,13 @@ def evaluate(
 
 
 def design(
-    *, taxels: int | str = 4, workers: int | None = None, **flags: Any
+    *, taxels: int | str = "", workers: int | None = None, **flags: Any
 ) -> Layout:
     """Choose where a hand's taxels go, as ``tactilerl design`` does; a layout for ``make(layout=...)``.
 
     Flags of the command are keywords, as in ``design(scene="handover", taxels=1, only=("palm",))``. Of
-    a range of numbers it is the layout with the most taxels. Raises ValueError, in one line, for an
-    invalid flag, where no taxel feels anything in time, where touch cannot help, and for scenes in
-    which nothing is handed over.
+    a range of numbers it is the layout with the most taxels, of a budget the best that it buys. Raises
+    ValueError, in one line, for an invalid flag, and for scenes in which nothing is handed over.
     """
     from .placement import choice
     from .placement.candidates import DesignFlags

@@ -54,8 +54,7 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
     played = gate.numbers(0, starts, search)
     results = gate.examine(env, config, *played, free_cores(), senses=senses)
     rates = {each.name: dataclasses.asdict(each) for each in results}
-    whole = {"gate": gate.verdict(results)} if set(rates) >= {"touch", "sighted"} else {}
-    return {"scene": name, "env": env, "choices": choices, "reflexes": rates, **whole}
+    return {"scene": name, "env": env, "choices": choices, "reflexes": rates}
 
 
 def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:

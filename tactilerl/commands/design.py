@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +14,10 @@ from ..envs import layouts
 from ..errors import InputError, input_errors
 from ..files import pasted
 from ..machine import free_cores
+from ..pictures import places
 from ..placement import files
 from ..placement.candidates import DesignFlags
-from ..placement.choice import Design, Row, design, n_played
+from ..placement.choice import Design, Row, Use, design, n_played
 from ..terminal import flags
 from ..terminal.console import console, progress
 
@@ -29,7 +29,8 @@ judges them on other starts, without training.
 examples:
   tactilerl design --scene handover_anywhere --taxels 4 --out four.toml
   tactilerl design --scene handover --taxels 1..12 --only palm --out my_design
-  tactilerl design --scene handover_anywhere --taxels 8 --survives taxel"""
+  tactilerl design --scene handover_anywhere --taxels 8 --survives taxel
+  tactilerl design --scene handover --sensor my_fsr.toml --budget 100 --out my_design"""
 NAMED = {
     "chosen": "chosen",
     "random": "random, mean",
@@ -58,24 +59,27 @@ def main(args: list[str]) -> int:
     with input_errors():
         read.validate()
         if read.out is not None:
-            if len(read.taxel_threshold) > 1:
-                raise InputError(
-                    f"--out: found with {len(read.taxel_threshold)} of --taxel-threshold, allowed "
-                    "with one: each threshold has layouts of its own"
-                )
-            files.require(read.out, read.numbers, read.overwrite)
+            for flag in ("sensor", "taxel_threshold"):
+                if (n := len(getattr(read, flag))) > 1:
+                    raise InputError(
+                        f"--out: found with {n} of --{flag.replace('_', '-')}, allowed with one: each "
+                        "has layouts of its own"
+                    )
+            is_one = read.budget is not None or len(read.numbers) == 1
+            files.require(read.out, is_one, read.overwrite)
         total = n_played(read)
         what = f"playing about {total} episodes"
         with progress(what, total, not read.json, is_long=True) as tick:
             result = design(read, read.workers or free_cores(), tick)
-        written = [] if read.out is None else files.write(result, read.out)
+        written = {} if read.out is None else files.write(result, read.out)
     if read.json:
         print(json.dumps(result.as_dict()))
         return 0
     _print(result)
     chosen = [row for row in result.rows if row.layout == "chosen"]
-    hints = [_hint(result, *pair) for pair in zip(written, chosen, strict=False)]
-    for path, hint in zip_longest(written, hints, fillvalue=""):  # layouts come first
+    rows = dict(zip(result.chosen, chosen, strict=False))
+    for path, key in written.items():
+        hint = "" if key is None else _hint(result, path, rows[key])
         console.print(f"{path}{hint}")
     return 0
 
@@ -88,6 +92,7 @@ def _hint(result: Design, path: Path, row: Row) -> str:
         "env": given.env,
         "simulator": given.simulator,
         "layout": str(path),
+        "sensor": "".join(given.sensor),
         "start-closing": "" if waits is None else f"{waits:g}",
     }
     words = [f" --{key} {pasted(value)}" for key, value in values.items() if value]
@@ -109,19 +114,8 @@ def _print(result: Design) -> None:
     if pool.early:
         early = ", ".join(pool.early)
         console.print(f"left out, since they fire before anything comes: {early}")
-    table = _wrapping("taxels", "which", "success", "felt")
-    if flags_given.survives:
-        loss = layouts.short(flags_given.survives)
-        table.add_column(f"after the worst loss ({loss})", overflow="fold")
-    if flags_given.start_closing:
-        table.add_column("waits at")
-    if flags_given.taxel_threshold:
-        table.add_column("threshold, N")
-    if result.best is not None:
-        table.add_column(f"more than layout {layouts.short(result.best)}")
-    for row in result.rows:
-        table.add_row(*_cells(row, result))
-    console.print(table)
+    for use in result.uses:
+        console.print(_table(result, use))
     for sentence in result.sentences():
         console.print(sentence)
     console.print("Chosen sets are the best that a search found.")
@@ -133,18 +127,36 @@ def _wrapping(*headings: str) -> Table:
     return Table(*(Column(heading, overflow="fold") for heading in headings))
 
 
-def _cells(row: Row, result: Design) -> list[str]:
+def _table(result: Design, use: Use) -> Table:
+    """Return a line for each set with one sensor and threshold, and for no touch."""
+    given, rows = result.pool.flags, use.rows(result.rows)
+    priced = any(row.price is not None for row in rows)
+    table = _wrapping("taxels", *["price"] * priced, "which", "success", "felt")
+    table.title = use.at.strip() or None
+    if given.survives:
+        loss = layouts.short(given.survives)
+        table.add_column(f"after the worst loss ({loss})", overflow="fold")
+    if given.start_closing:
+        table.add_column("waits at")
+    if result.best is not None:
+        table.add_column(f"more than layout {layouts.short(result.best)}")
+    for row in rows:
+        table.add_row(*_cells(row, result, priced))
+    return table
+
+
+def _cells(row: Row, result: Design, priced: bool) -> list[str]:
     """Return a line of the table."""
     name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")
     success = _rate(row.success, row.success_interval)
-    cells = [str(row.taxels), name, success, f"{row.felt:.2f}"]
+    name += ", knee" * row.is_knee
+    price = "" if row.price is None else f"{row.price:g}"
+    cells = [str(row.taxels), *[price] * priced, name, success, f"{row.felt:.2f}"]
     if result.pool.flags.survives:
         worst = _rate(row.worst, row.worst_interval)
         cells.append(worst if row.lost is None else f"{worst} without {row.lost}")
     if result.pool.flags.start_closing:
         cells.append("" if row.start_closing is None else f"{row.start_closing:g}")
-    if row.threshold is not None:
-        cells.append(f"{row.threshold:g}")
     if row.difference:
         cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row.difference))
     return cells
@@ -158,10 +170,12 @@ def _rate(rate: float, interval: tuple[float, float] | None) -> str:
 
 
 def _places(result: Design) -> Table:
-    """Return a table of where the largest chosen set is, in the frames of the links."""
-    table = _wrapping("taxel", "link", "place, mm", "radius")
-    columns = result.chosen[max(result.chosen)]
-    for point in result.pool.skin.take(columns).points:
+    """Return a table of where the largest chosen set is, in words and in the frames of the links."""
+    table = _wrapping("", "taxel", "link", "place, mm", "radius")
+    pool = result.pool
+    taxels = pool.skin.take(result.chosen[max(result.chosen)])
+    words = places.described(taxels, pool.hand)
+    for number, (point, where) in enumerate(zip(taxels.points, words, strict=True), 1):
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
-        table.add_row(point.name, point.link, place, f"{1e3 * point.radius:g}")
+        table.add_row(str(number), where, point.link, place, f"{1e3 * point.radius:g}")
     return table

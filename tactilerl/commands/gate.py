@@ -97,11 +97,14 @@ def _newtons(text: str) -> float:
 def _table(comparison: gate.Comparison) -> Table:
     """Return a line for each scripted hand, in the order of their senses."""
     table = Table("scripted hand", "switches when", "success", "95 % interval")
-    rows = [(one.name, one) for one in comparison.results if one.name != "touch"]
-    for variant, result in comparison.with_touch:
-        label = comparison.label(variant)
-        rows.append((f"touch, {label}" if label else "touch", result))
-    rows.sort(key=lambda row: list(gate.SENSES).index(row[1].name))
+    rows = []
+    for one in comparison.results:
+        if one.name == "touch":
+            for variant, result in comparison.with_touch:
+                label = comparison.label(variant)
+                rows.append((f"touch, {label}" if label else "touch", result))
+        else:
+            rows.append((one.name, one))
     for name, result in rows:
         low, high = result.interval
         when = gate.SENSES[result.name][1]

@@ -82,9 +82,10 @@ def main(args: list[str]) -> int:
     draw(console, title, name, scene, pose, picture, choices.overwrite)
     if grasp is None:
         return 1
-    train = f"--env {pasted(out)} --recipe steady --total-timesteps 15000"
+    named = f"--env {pasted(out)}"
     console.print(
-        f"next: tactilerl env --env {pasted(out)} --check    tactilerl train {train}"
+        f"next: tactilerl design {named} --sensor fsr --budget 100 --out my_layout.toml    "
+        f"tactilerl gate --scene handover_anywhere {named} --layout my_layout.toml"
     )
     return 0
 

@@ -100,6 +100,25 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
     return words
 
 
+class Unrolled:
+    """Say where everything lies on the map of a hand, mm; up is towards the fingertips."""
+
+    def __init__(self, hand: Hand) -> None:
+        """Lay out the hand's surfaces and words."""
+        self.panels = panels(hand)
+        self.labels = labels(hand, self.panels)
+        lefts, lows, rights, tops = zip(*(p.box for p in self.panels), strict=True)
+        margin = MARGIN - EDGE
+        left, right = min(lefts) - margin, max(rights) + margin
+        low, top = min(lows) - margin - LETTERS, max(tops) + margin + LETTERS
+        self.extent = left, right, low, top
+
+    def point(self, place: Place) -> tuple[float, float]:
+        """Return where a taxel lies on the map, mm."""
+        panel = self.panels[place.surface]
+        return panel.x + place.column, panel.y + place.row
+
+
 class TaxelMap:
     """Draw the unrolled hand with the taxels that fire lit."""
 
@@ -107,37 +126,29 @@ class TaxelMap:
         """Draw the hand and its taxels, `height` pixels high, for pictures to come."""
         from PIL import Image, ImageDraw
 
-        self._panels = panels(hand)
-        lefts, lows, rights, tops = zip(*(p.box for p in self._panels), strict=True)
-        margin = MARGIN - EDGE
-        left, right = min(lefts) - margin, max(rights) + margin
-        low, top = min(lows) - margin - LETTERS, max(tops) + margin + LETTERS
-        self.extent = left, right, low, top
-        """Its edges on the map, mm."""
-        self._scale = height / (top - low)
-        width = 2 * round(self._scale * (right - left) / 2)  # even: films want that
+        drawn = Unrolled(hand)
+        self._left, right, low, self._top = drawn.extent
+        self._scale = height / (self._top - low)
+        width = 2 * round(
+            self._scale * (right - self._left) / 2
+        )  # even: films want that
         self._blank = Image.new("RGB", (width, height), PAPER)
         draw = ImageDraw.Draw(self._blank)
-        for panel in self._panels:
+        for panel in drawn.panels:
             radius = self._scale * (ROUND * panel.half_width + EDGE)
             draw.rounded_rectangle(self._pixels(*panel.box), radius, PHALANX)
         size = self._scale * LETTERS
-        for text, x, y in labels(hand, self._panels):
+        for text, x, y in drawn.labels:
             at = self._pixels(x, y, x, y)[:2]
             draw.text(at, text, LETTER, font_size=size, anchor="ms")
         self._discs = []
         for place in places.of(taxels):
-            (x, y), r = self.point(place), place.radius
+            (x, y), r = drawn.point(place), place.radius
             self._discs.append(self._pixels(x - r, y - r, x + r, y + r))
-
-    def point(self, place: Place) -> tuple[float, float]:
-        """Return where a taxel lies on the map, mm."""
-        panel = self._panels[place.surface]
-        return panel.x + place.column, panel.y + place.row
 
     def _pixels(self, *box: float) -> Box:
         """Return the left, upper, right and lower edge in pixels of a box on the map, mm."""
-        (left, _, _, top), scale = self.extent, self._scale
+        left, top, scale = self._left, self._top, self._scale
         x0, y0, x1, y1 = box
         return (
             scale * (x0 - left),

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from ..envs import validation
 from ..envs.hands import Hand, Surface
+from ..envs.hands.geometry import placed, posed
 from ..envs.layouts import Layout, Patch, Taxels, load, mm
 
 Spacing = Annotated[float, "[0.5, 50]"]
 """Distance of the taxels of a dense skin, mm."""
+
+
+DIGITS = {name: f"{name} finger" for name in ("index", "middle", "ring", "little")}
+SEGMENTS = {
+    "proximal": "base segment",
+    "middle": "middle segment",
+    "distal": "tip",
+}
 
 
 class Place(NamedTuple):
@@ -35,6 +44,46 @@ def of(taxels: Taxels) -> list[Place]:
         Place(index, mm(row), mm(column), mm(radius), mm(height))
         for index, (row, column, height), radius in figures
     ]
+
+
+def at_start(hand: Hand) -> Any:
+    """Return MuJoCo's data of the hand alone, as it is at the start."""
+    angles = zip(hand.joints, hand.start_positions(), strict=True)
+    return posed(hand.build().compile(), dict(angles))
+
+
+def described(taxels: Taxels, hand: Hand) -> list[str]:
+    """Return where the taxels are in the words of a workshop, from the middle of their segments."""
+    data = at_start(hand)
+    digits = [surface for surface in hand.surfaces if surface.segment != "palm"]
+    aims = {
+        "thumb": [surface for surface in digits if surface.digit == "thumb"][-1:],
+        "fingers": [surface for surface in digits if surface.digit != "thumb"][:1],
+    }
+
+    def side(surface: Surface, column: float) -> str:
+        """Tell on which side of a surface a column is."""
+        name = "fingers" if surface.digit == "thumb" else "thumb"
+        middle = placed(data, surface.link, surface.centre)
+        across = placed(data, surface.link, surface.centre + surface.across) - middle
+        for aim in aims[name]:
+            ahead = (placed(data, aim.link, aim.centre) - middle) @ across
+            return f"{'towards' if column * ahead > 0 else 'away from'} the {name}"
+        return "to the right" if column > 0 else "to the left"
+
+    words = []
+    for place in of(taxels):
+        surface, row, column = hand.surfaces[place.surface], place.row, place.column
+        digit, ends = DIGITS.get(surface.digit, surface.digit), ("tip", "palm")
+        parts = [digit, SEGMENTS.get(surface.segment, surface.segment)]
+        if surface.segment == "palm":
+            parts, ends = ["palm", f"under the {digit}"], ("fingers", "wrist")
+        if row:
+            parts.append(f"{abs(row):.3g} mm towards the {ends[row < 0]}")
+        if column:
+            parts.append(f"{abs(column):.3g} mm {side(surface, column)}")
+        words.append(", ".join(parts if row or column else [*parts, "in the middle"]))
+    return words
 
 
 def skin(name: str, hand: Hand) -> Taxels:

@@ -6,31 +6,44 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..envs import hands, layouts, scenes, tasks, validation
+from ..envs import hands, layouts, scenes, sensors, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand, Surface
-from ..envs.hands.geometry import placed, posed
+from ..envs.hands.geometry import placed
 from ..envs.layouts import Taxels
 from ..envs.observations import TaxelFaults
+from ..envs.sensors import Cost
 from ..envs.state import Array
 from ..envs.validation import Newtons, require_known
 from ..machine import WorkerCount
 from ..pictures import places
+from . import cover
+from .prices import Prices
 
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
 ANGLES = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
 """Directions in which the margin of a taxel is looked at, rad."""
-KINDS_OF_LOSS = ("taxel", "digit", "segment")
-IN_A_GROUP = "taxels, digits or segments"
+KINDS = ("taxel", "digit", "segment")
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
+
+
+class Kind(NamedTuple):
+    """A kind of sensor, as far as a design takes it into account; what is None nobody said."""
+
+    name: str | None
+    radius: float | None
+    threshold: float | None
+    delay: float
+    cost: Cost | None
 
 
 @dataclass(frozen=True)
@@ -44,13 +57,23 @@ class DesignFlags:
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
     simulator: str = ""
     """Physics engine: mujoco or pybullet; default: the scene's."""
-    taxels: str = "4"
-    """Number of taxels that the hand may have, or a range such as 1..12."""
+    sensor: tuple[str, ...] = ()
+    """Sensors, by name or .toml file: their radius, threshold, delay and price. With several, each has
+    a table of its own, on the same starts."""
+    budget: Annotated[float, "(0, inf)"] | None = None
+    """Money for taxels and boards, in the currency of the sensor's [cost]; the table shows what each
+    sum below it buys."""
+    boards: str = ""
+    """What one board may serve: taxel, digit, segment, or a .toml file with a [[group]] for each;
+    default: all of the hand."""
+    taxels: str = ""
+    """Number of taxels that the hand may have, or a range such as 1..12; default: 4, with --budget
+    1..12."""
     skin: str = "4mm"
     """Candidates: the spacing of a grid over all surfaces, a layout, or a layout file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
     """Radius of your sensors, mm. With it, no two chosen ones overlap along the skin. Default: the
-    hand's own, or that of the layout."""
+    sensor's; else the hand's own, or that of the layout."""
     margin: Annotated[float, "[0, 50]"] = 0.0
     """Smallest distance of a taxel from each edge of its segment, mm, so that a housing fits."""
     only: tuple[str, ...] = ()
@@ -60,8 +83,8 @@ class DesignFlags:
     keep: str = ""
     """A layout whose taxels the hand has already; they count."""
     taxel_threshold: tuple[Newtons, ...] = ()
-    """Force from which a taxel fires, N; default: the scene's, or any touch. With several, the table
-    has rows for each, and a sentence says from which on touch no longer helps."""
+    """Force from which a taxel fires, N; default: the sensor's, the scene's, or any touch. With
+    several, there is a table for each."""
     survives: str = ""
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
@@ -79,10 +102,27 @@ class DesignFlags:
     workers: WorkerCount = None
     """Starts played side by side; default: one per free core. Results do not depend on it."""
 
-    @property
-    def thresholds(self) -> tuple[float | None, ...]:
-        """Forces from which a taxel fires, N; None for those of the scene, or of each taxel."""
-        return self.taxel_threshold or (None,)
+    def kinds(self, scene: GraspConfig) -> list[Kind]:
+        """Return all sensors to compare, each with every threshold; what none says is the scene's."""
+        kinds = []
+        for name, force in product(
+            self.sensor or ("",), self.taxel_threshold or (None,)
+        ):
+            file = vars(sensors.load(name)) if name else {}
+            known = file.get
+            if known("delay") is None:
+                file["delay"] = scene.taxel_delay * scene.control_dt
+            thresholds = force, known("threshold"), scene.taxel_threshold
+            kinds.append(
+                Kind(
+                    name=known("name"),
+                    radius=1e-3 * self.radius if self.radius else known("radius"),
+                    threshold=next((x for x in thresholds if x is not None), None),
+                    delay=file["delay"],
+                    cost=known("cost"),
+                )
+            )
+        return kinds
 
     @property
     def waits(self) -> tuple[float | None, ...]:
@@ -92,7 +132,8 @@ class DesignFlags:
     @property
     def numbers(self) -> range:
         """Numbers of taxels; ValueError where that is no range."""
-        match = re.fullmatch(r"(\d{1,4})(?:\.\.(\d{1,4}))?", self.taxels)
+        asked = self.taxels or ("4" if self.budget is None else "1..12")
+        match = re.fullmatch(r"(\d{1,4})(?:\.\.(\d{1,4}))?", asked)
         low, high = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
         if not 1 <= low <= high:
             allowed = "a number from 1 up, or LOW..HIGH"
@@ -105,7 +146,7 @@ class DesignFlags:
         if not self.scene:
             raise ValueError("scene: found none, allowed one or more handovers")
         _ = self.numbers
-        for name in ("scene", "taxel_threshold", "start_closing", "beside"):
+        for name in ("scene", "sensor", "taxel_threshold", "start_closing", "beside"):
             require_distinct(name, getattr(self, name))
 
 
@@ -140,6 +181,9 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
                     f"scene: found {name} with {field} {value}, allowed {usual}: a recording cannot "
                     "know which taxels that strikes; --survives designs for the worst loss"
                 )
+    for field in ("taxel_threshold", "taxel_delay"):
+        if len(found := {getattr(config, field) for config in configs.values()}) > 1:
+            raise ValueError(f"scene: found {field} {found}, allowed the same in all")
     return env, configs
 
 
@@ -170,13 +214,13 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     if not allowed:
         where = "that --only, --not and --margin allow"
         raise ValueError(f"skin: found no place of {flags.skin} {where}")
-    changes: dict[str, Any] = {}
-    if flags.radius is not None:
-        changes["radius"] = 1e-3 * flags.radius
-    if len(flags.taxel_threshold) == 1:
-        changes["threshold_N"] = flags.taxel_threshold[0]
-    taxels = taxels.take(allowed)
-    points = tuple(point._replace(**changes) for point in taxels.points)
+    return taxels.take(allowed)
+
+
+def fitted(taxels: Taxels, **changes: float | None) -> Taxels:
+    """Return taxels with another radius, m, or threshold, N, where that is given."""
+    given: Any = {name: x for name, x in changes.items() if x is not None}
+    points = tuple(point._replace(**given) for point in taxels.points)
     return replace(taxels, points=points)
 
 
@@ -209,10 +253,7 @@ def overlap(hand: Hand, taxels: Taxels) -> Array:
     The skin between two taxels turns like an arc: of the line between them, the part in the direction
     in which their normals differ is a chord. That is exact on planes, cylinders and spheres.
     """
-    data = posed(
-        hand.build().compile(),
-        dict(zip(hand.joints, hand.start_positions(), strict=True)),
-    )
+    data = places.at_start(hand)
     points = np.array([placed(data, p.link, p.position) for p in taxels.points])
     normals = np.array(
         [placed(data, p.link, p.normal) - data.body(p.link).xpos for p in taxels.points]
@@ -232,17 +273,17 @@ def overlap(hand: Hand, taxels: Taxels) -> Array:
     return overlapping
 
 
-class Losses(NamedTuple):
-    """List what may fail, one at a time."""
+class Groups(NamedTuple):
+    """List taxels that fail together, or share a board."""
 
     names: tuple[str, ...]
     members: Array
-    """(g, m) bool: which taxels of the skin fail with each."""
+    """(g, m) bool: which taxels of the skin are in each."""
 
 
 @dataclass(frozen=True)
 class GroupTable:
-    """One [[group]] of a file: taxels, digits or segments that fail together, by name."""
+    """One [[group]] of a file: taxels, digits or segments, by name."""
 
     name: str
     taxels: tuple[str, ...] = ()
@@ -257,43 +298,34 @@ class GroupFile:
     group: tuple[GroupTable, ...]
 
 
-def losses_of(survives: str, hand: Hand, taxels: Taxels) -> Losses:
-    """Return the losses of any one taxel, digit, segment (the palm is one), or group of a file.
+def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
+    """Return each taxel, digit or segment (the palm is one) as a group, or the groups of a file.
 
-    Raise ValueError naming what is wrong with it, and FileNotFoundError.
+    Raise ValueError naming what is wrong with the `flag`, and FileNotFoundError.
     """
     surfaces = [hand.surfaces[index] for index in taxels.surfaces.tolist()]
-    if survives == "taxel":
-        return Losses(taxels.names, np.eye(len(taxels), dtype=bool))
-    if survives in KINDS_OF_LOSS:
+    if kind == "taxel":
+        return Groups(taxels.names, np.eye(len(taxels), dtype=bool))
+    if kind in KINDS:
         parts = [
             "palm" if surface.segment == "palm"
-            else surface.digit if survives == "digit"
+            else surface.digit if kind == "digit"
             else f"{surface.digit}.{surface.segment}"
             for surface in surfaces
         ]  # fmt: skip
         names = tuple(dict.fromkeys(parts))
-        return Losses(names, np.array(parts) == np.array(names)[:, None])
-    if not survives.endswith(".toml"):
-        allowed = f"{', '.join(KINDS_OF_LOSS)}, or a .toml file"
-        raise ValueError(f"survives: found {survives!r}, allowed {allowed}")
-    path = Path(survives)
+        return Groups(names, np.array(parts) == np.array(names)[:, None])
+    if not kind.endswith(".toml"):
+        allowed = f"{', '.join(KINDS)}, or a .toml file"
+        raise ValueError(f"{flag}: found {kind!r}, allowed {allowed}")
+    path = Path(kind)
     content = validation.read(path, "file of groups")
     with validation.blamed(f"file of groups {path}"):
         groups, rows = validation.fill(GroupFile, content).group, []
         segments = set().union(*(_names(surface) for surface in hand.surfaces))
         if not groups:
             raise ValueError("group: found none, allowed one or more")
-        require_distinct("group", [group.name for group in groups])
         for group in groups:
-            if not group.name.strip():
-                raise ValueError(
-                    "group: found one without a name, allowed a name for each"
-                )
-            if not (group.digits or group.segments or group.taxels):
-                raise ValueError(
-                    f"group {group.name}: found nothing in it, allowed {IN_A_GROUP}"
-                )
             require_known(group.digits, hand.digits)
             require_known(group.segments, segments)
             require_known(group.taxels, taxels.names)
@@ -305,23 +337,30 @@ def losses_of(survives: str, hand: Hand, taxels: Taxels) -> Losses:
                     for name, surface in zip(taxels.names, surfaces, strict=True)
                 ]
             )
-        return Losses(tuple(group.name for group in groups), np.array(rows, bool))
+        return Groups(tuple(group.name for group in groups), np.array(rows, bool))
 
 
-def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
-    """Return the taxels of all sets, each place and threshold once, in the order of places.
+def joined(
+    sets: Sequence[Taxels], delays: Sequence[float] | None = None
+) -> tuple[Taxels, Array, list[list[int]]]:
+    """Return the taxels of all sets, each place, threshold and delay once, in the order of places.
 
-    Return with it which of them are those of each set.
+    Return with it the delay of each, s, and which of them are those of each set.
     """
+    sizes = [len(taxels) for taxels in sets]
     points = [point for taxels in sets for point in taxels.points]
     surfaces = np.concatenate([taxels.surfaces for taxels in sets])
     offsets = np.concatenate([taxels.offsets for taxels in sets])
     every = Taxels(tuple(points), surfaces, offsets)
-    keys = np.column_stack([places.of(every), every.thresholds])
+    late = np.repeat(np.zeros(len(sets)) if delays is None else delays, sizes)
+    keys = np.column_stack([places.of(every), every.thresholds, late])
     _, firsts, columns = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    ends = np.cumsum([len(taxels) for taxels in sets])
-    parts = np.split(columns.reshape(-1), ends[:-1])
-    return every.take(firsts.tolist()), [part.tolist() for part in parts]
+    parts = np.split(columns.reshape(-1), np.cumsum(sizes)[:-1])
+    return (
+        every.take(firsts.tolist()),
+        late[firsts],
+        [part.tolist() for part in parts],
+    )
 
 
 @dataclass(frozen=True)
@@ -332,51 +371,98 @@ class Pool:
     env: str
     scenes: dict[str, GraspConfig]
     hand: Hand
+    sensor: Kind
+    """What may be bought."""
     skin: Taxels
-    """All taxels that anything is asked of."""
+    """All taxels that anything is asked of, with whatever sensor."""
+    delays: Array
+    """(m,) by how much each is read late, s."""
     existing: list[int]
     """Columns (indices in the skin) of the taxels that the hand has already."""
     free: list[int]
     """Columns of those that may be chosen."""
     references: dict[str, list[int]]
     """Columns of the layouts to compare with, by name."""
-    losses: Losses
+    losses: Groups
+    prices: Prices | None = None
+    """None where the sensor's file says none."""
     early: tuple[str, ...] = ()
     """Names of candidates that were left out."""
 
     @classmethod
-    def of(cls, flags: DesignFlags) -> Pool:
-        """Do as the flags say.
+    def of(cls, flags: DesignFlags) -> list[Pool]:
+        """Do as the flags say, for each sensor.
 
         Raise ValueError where scenes do not go together, or one asks for what the hand does not have.
         """
-        env, configs = scenes_of(flags)
+        env, scenes = scenes_of(flags)
         hand = hands.get(env)
+        compared = flags.kinds(next(iter(scenes.values())))
+        sets = []
+        named = [layouts.load(name).place(hand) for name in flags.beside]
         free = candidates(flags, hand)
-        sets = [layouts.load(name).place(hand) for name in flags.beside]
-        existing_sets = [layouts.load(flags.keep).place(hand)] if flags.keep else []
-        skin, columns = joined([*existing_sets, free, *sets])
-        existing = columns.pop(0) if existing_sets else []
+        existing = layouts.load(flags.keep).place(hand) if flags.keep else free.take([])
+        for sensor in compared:
+            own = fitted(free, radius=sensor.radius)
+            sets += [
+                fitted(taxels, threshold_N=sensor.threshold)
+                for taxels in (existing, own, *named)
+            ]
+        n = len(sets) // len(compared)
+        late = np.repeat([sensor.delay for sensor in compared], n)
+        skin, delays, columns = joined(sets, late.tolist())
+        losses = groups_of(flags.survives or "taxel", hand, skin, "survives")
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
-        taken = {spots[column] for column in existing}
-        return cls(
-            flags=flags,
-            env=env,
-            scenes=configs,
-            hand=hand,
-            skin=skin,
-            existing=existing,
-            free=[column for column in columns[0] if spots[column] not in taken],
-            references=dict(zip(flags.beside, columns[1:], strict=True)),
-            losses=losses_of(flags.survives or "taxel", hand, skin),
-        )
+        pools = []
+        for sensor, first in zip(compared, range(0, len(sets), n), strict=True):
+            there, allowed, *beside = columns[first : first + n]
+            taken = {spots[column] for column in there}
+            pool = cls(
+                flags=flags,
+                env=env,
+                scenes=scenes,
+                hand=hand,
+                sensor=sensor,
+                skin=skin,
+                delays=delays,
+                existing=there,
+                free=[column for column in allowed if spots[column] not in taken],
+                references=dict(zip(flags.beside, beside, strict=True)),
+                losses=losses,
+            )
+            pools.append(replace(pool, prices=pool.priced()))
+        return pools
 
     def __post_init__(self) -> None:
-        """Raise ValueError where too few taxels may be chosen."""
-        if (most := self.flags.numbers[-1]) > len(self.free):
+        """Raise ValueError where too few taxels may be chosen, or the budget buys none."""
+        self.sizes()
+        most = self.flags.numbers[-1]
+        if self.flags.budget is None and most > len(self.free):
             allowed = f"up to the {len(self.free)} that may be chosen"
             raise ValueError(f"taxels: found {most}, allowed {allowed}")
+
+    def priced(self) -> Prices | None:
+        """Return what taxels cost; ValueError for a budget without, or a taxel that no board serves."""
+        boards, cost = self.flags.boards, self.sensor.cost
+        if cost is None:
+            for flag, value in (("budget", self.flags.budget), ("boards", boards)):
+                if value:
+                    raise ValueError(
+                        f"{flag}: found {value}, allowed with a --sensor that has a [cost]"
+                    )
+            return None
+        groups = np.zeros(len(self.skin), int)
+        if boards:
+            _, members = groups_of(boards, self.hand, self.skin, "boards")
+            for column in self.free:
+                if (n := members[:, column].sum()) != 1:
+                    raise ValueError(
+                        f"boards: found {self.skin.names[column]} in {n} of the groups of {boards}, "
+                        "allowed in one"
+                    )
+            groups = members.argmax(axis=0)
+        return Prices(cost, groups)
 
     @property
     def columns(self) -> list[int]:
@@ -389,9 +475,30 @@ class Pool:
 
         None where nobody said how large the sensors are.
         """
-        if self.flags.radius is None:
+        if self.sensor.radius is None:
             return None
         return overlap(self.hand, self.skin.take(self.columns))
+
+    def sizes(self) -> list[tuple[int, int]]:
+        """Return how many taxels, and on how many boards, sets may have; 0 boards: any number."""
+        flags = self.flags
+        if self.prices is None or flags.budget is None:
+            return [(n, 0) for n in flags.numbers]
+        return self.prices.sizes(self.free, flags.numbers, flags.budget)
+
+    def room(self, boards: int) -> cover.Fits:
+        """Return a function that tells which others of its columns fit beside some of them."""
+        return partial(self._fits, boards)
+
+    def _fits(self, boards: int, taxels: Sequence[int]) -> Array:
+        is_free = cover.others(len(self.columns), taxels)
+        if self.overlap is not None:
+            is_free &= ~self.overlap[list(taxels)].any(axis=0)
+        if boards and self.prices is not None:
+            n = len(self.existing)
+            bought = [self.columns[taxel] for taxel in taxels if taxel >= n]
+            is_free &= self.prices.fits(bought, boards)[self.columns]
+        return is_free
 
     def without(self, early: Array) -> Pool:
         """Leave out candidates that are `early`, bool (m,) of the skin's taxels."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from ..scripted import gate
 from . import cover
 from .candidates import DesignFlags, Pool, waiting
 from .cover import Starts
+from .prices import knee
 from .recording import record
 
 CHOICE, TEST = 500_000, 750_000
@@ -52,27 +53,39 @@ class Row:
     """Share by which the hand is closed while it waits; None for as the scene has it."""
     chosen_from: float | None = None
     """Success in the starts from which these taxels were chosen."""
-    chosen_worst: float | None = None
-    """The same after the worst loss, where they were chosen for that."""
     difference: tuple[float, float, float] | None = None
     """Success less that of the layout that is the best in those, and its 95 % interval."""
+    price: float | None = None
+    """Price of the chosen taxels and their boards."""
+    is_knee: bool = False
+    """True for the set from which on more taxels, or more money, gain little."""
+    sensor: str | None = None
     threshold: float | None = None
-    """Force from which a taxel fires, N; None for what the scene or the layout says."""
+    """Force from which a taxel fires, N; None for what the layout says."""
 
 
 class Use(NamedTuple):
-    """Say what touch has to win."""
+    """Say what touch has to beat."""
 
+    sensor: str | None
     threshold: float | None
-    """Force from which a taxel fires, N; None for what the scene or the layout says."""
-    touch: float
-    """Success of a hand that feels with all candidates, in the starts to choose from."""
+    """Force from which a taxel fires, N; None for what the layout says."""
     blind: float
-    """Success of the best scripted hand without touch, in the others: the mean over scenes."""
+    """Success of the best scripted hand without touch, in unseen starts: the mean over scenes."""
     blind_hand: str
     """Name of that hand, in each scene if they differ."""
     start_closing: float | None
-    """Share by which all of these are closed while they wait."""
+    """Share by which it is closed while it waits."""
+
+    @property
+    def at(self) -> str:
+        """Sensor and threshold, as a part of a sentence."""
+        name = f" with {self.sensor}" if self.sensor else ""
+        return name + ("" if self.threshold is None else f" at {self.threshold:g} N")
+
+    def rows(self, rows: Sequence[Row]) -> list[Row]:
+        """Return those of its sensor and threshold."""
+        return [row for row in rows if (row.sensor, row.threshold) == self[:2]]
 
 
 @dataclass(frozen=True)
@@ -84,46 +97,55 @@ class Design:
     """The starts to choose from."""
     test: ByWait
     """Other starts, on which everything is judged."""
-    chosen: dict[int, list[int]]
-    """Columns of the skin by number of taxels; those that the hand has already come on top."""
+    chosen: dict[float, list[int]]
+    """Columns of the skin by number of taxels, or with a budget by price; those that the hand has
+    already come on top."""
     best: str | None
     """The layout with the most success in the starts to choose from, of those to compare with."""
     rows: list[Row]
-    """Rows for each threshold after the other."""
+    """Rows for each sensor and threshold after the other."""
     uses: list[Use]
-    """Uses of touch for each threshold. The fields before `rows` are of the first."""
+    """Uses of touch for each of these. The fields before `rows` are of the first."""
+    against: dict[str, statistics.Estimate] = field(default_factory=dict)
+    """Success of each other sensor's best set less that of the first's, in the same starts."""
 
     def sentences(self) -> list[str]:
-        """Say for each threshold whether touch pays, and from how many chosen taxels on."""
+        """Say for each sensor whether touch pays and from which set on, and which sensor is better."""
         said = []
         for use in self.uses:
-            rows = [row for row in self.rows if row.threshold == use.threshold]
-            chosen = [row for row in rows if row.layout == "chosen"]
+            chosen = [row for row in use.rows(self.rows) if row.layout == "chosen"]
             paying = [row for row in chosen if gate.pays(row.success, use.blind)]
             row = paying[0] if paying else max(chosen, key=lambda row: row.success)
-            at = "" if row.threshold is None else f" at {row.threshold:g} N"
-            verdict = f"Touch does not pay{at}"
-            if paying:
-                verdict = f"Touch pays{at}"
-                if len(chosen) > 1:
-                    verdict += f" from {row.taxels} {_taxels(row.taxels)} on"
+            verdict = f"Touch {'pays' if paying else 'does not pay'}{use.at}"
+            if paying and len(chosen) > 1:
+                verdict += f" from {_taxels(row)} on"
             said.append(
-                f"{verdict}: with {row.taxels} chosen {_taxels(row.taxels)} the hand succeeds in "
-                f"{row.success:.2f} of the starts, the best one without touch ({use.blind_hand}) in "
+                f"{verdict}: with {_taxels(row)} chosen the hand succeeds in {row.success:.2f} of the "
+                f"starts, the best one without touch ({use.blind_hand}, as the gate finds it) in "
                 f"{use.blind:.2f}."
             )
-        if len(self.uses) > 1:
-            uses = {use.threshold or 0.0: (use.touch, use.blind) for use in self.uses}
-            said.append(f"With all candidates: {gate.where_touch_stops(uses)}")
+            for row in chosen:
+                if row.is_knee:
+                    said.append(
+                        f"The knee is at {_taxels(row)}: {row.success:.2f}; the most, "
+                        f"{_taxels(chosen[-1])}, reach {chosen[-1].success:.2f}."
+                    )
+        for sensor, difference in self.against.items():
+            said.append(
+                "Best set of {}, success less that of {} in the same starts: {:+.2f} ({:+.2f} to "
+                "{:+.2f}).".format(sensor, self.uses[0].sensor, *difference)
+            )
         return said
 
-    def layout(self, n: int) -> Layout:
-        """Return a layout of `n` taxels, and those that were there already."""
-        about = f"{n} {_taxels(n)} placed by tactilerl for "
-        taxels = self.pool.skin.take(self.chosen[n])
-        return layouts.of_taxels(
-            taxels, self.pool.hand, about + ", ".join(self.pool.scenes)
+    def layout(self, key: float) -> Layout:
+        """Return the layout of a chosen set, with the taxels that were there already."""
+        pool, columns = self.pool, self.chosen[key]
+        n = len(columns) - len(pool.existing)
+        scenes = ", ".join(pool.scenes)
+        about = (
+            f"{n} {'taxel' if n == 1 else 'taxels'} placed by tactilerl for {scenes}"
         )
+        return layouts.of_taxels(pool.skin.take(columns), pool.hand, about)
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
@@ -140,48 +162,50 @@ class Design:
             "uses": [use._asdict() for use in self.uses],
             "verdict": " ".join(self.sentences()),
             "places": {
-                n: [place._asdict() for place in places.of(pool.skin.take(columns))]
-                for n, columns in self.chosen.items()
+                f"{key:g}": [
+                    place._asdict() for place in places.of(pool.skin.take(columns))
+                ]
+                for key, columns in self.chosen.items()
             },
         }
 
 
-def _taxels(n: int) -> str:
-    """Return the word for `n` of them."""
-    return "taxel" if n == 1 else "taxels"
+def _taxels(row: Row) -> str:
+    """Return how many taxels a row has, and what they cost."""
+    taxels = f"{row.taxels} {'taxel' if row.taxels == 1 else 'taxels'}"
+    return taxels if row.price is None else f"{taxels} for {row.price:g}"
 
 
 def design(flags: DesignFlags, workers: int, tick: Tick = lambda *_: None) -> Design:
     """Choose taxels by which a hand succeeds that closes at the first touch.
 
-    `tick` is called after every episode, and with a number after as many. Raise ValueError where touch
-    cannot help, or for a scene in which nothing is handed over.
+    `tick` is called after every episode, and with a number after as many. Raise ValueError for a scene
+    in which nothing is handed over, and where flags do not go together.
     """
-    pool = Pool.of(flags)
-    choices = _played(pool, CHOICE, flags.starts, workers, tick)
+    pools = Pool.of(flags)
+    choice = _played(pools[0], CHOICE, flags.starts, workers, tick)
     # The same candidates for all ways to wait.
-    pools = [
-        pool.without(np.any([starts.early for starts in choice.values()], axis=0))
-        for choice in choices
-    ]
-    blind, uses = cache(partial(_blind, pool, workers, tick)), []
-    for threshold, choice, each in zip(flags.thresholds, choices, pools, strict=True):
-        rates = {wait: cover.value(choice[wait], each.columns) for wait in choice}
+    early = np.any([starts.early for starts in choice.values()], axis=0)
+    pools = [pool.without(early) for pool in pools]
+    blind, uses = cache(partial(_blind, pools[0], workers, tick)), []
+    for pool in pools:
+        rates = {wait: cover.value(choice[wait], pool.columns) for wait in choice}
         wait = max(rates, key=rates.__getitem__)
-        uses.append(Use(threshold, rates[wait], *blind(wait), wait))
-    if not any(gate.pays(use.touch, use.blind) for use in uses):
-        best = max(uses, key=lambda use: use.touch)
-        raise ValueError(
-            "scene: touch cannot help here: the best hand without touch "
-            f"({best.blind_hand}) succeeds in {best.blind:.2f} of the starts, one that feels with all "
-            f"candidates in {best.touch:.2f}"
-        )
-    tests = _played(pool, TEST, flags.test_starts, workers, tick)
+        sensor = pool.sensor
+        uses.append(Use(sensor.name, sensor.threshold, *blind(wait), wait))
+    test = _played(pools[0], TEST, flags.test_starts, workers, tick)
     designs = [
-        _judged(*parts) for parts in zip(uses, pools, choices, tests, strict=True)
+        _judged(use, pool, choice, test) for use, pool in zip(uses, pools, strict=True)
     ]
+    judge = Judge(choice, test, pools[0])
+    first, *others = [each.chosen[max(each.chosen)] for each in designs]
+    against = {
+        pool.sensor.name: judge.difference(columns, first)
+        for pool, columns in zip(pools[1:], others, strict=True)
+        if len(flags.sensor) > 1
+    }
     rows = [row for each in designs for row in each.rows]
-    return replace(designs[0], rows=rows, uses=uses)
+    return replace(designs[0], rows=rows, uses=uses, against=against)
 
 
 def n_played(flags: DesignFlags) -> int:
@@ -197,11 +221,11 @@ def _blind(
 ) -> tuple[float, str]:
     """Return the success of the best scripted hand without touch, and which it is.
 
-    It is chosen in a tenth of as many starts, as the gate's is, and judged where taxels are.
+    It is chosen in the starts from which the gate chooses it, and judged where taxels are.
     The success is the mean over scenes, each with the hand that is best there.
     """
     flags = pool.flags
-    searched = _numbers(flags, CHOICE, _search(flags))
+    searched, _ = gate.numbers(flags.seed, 0, _search(flags))
     compared = _numbers(flags, TEST, flags.test_starts)
     examine = partial(
         gate.examine, pool.env, searched=searched, compared=compared, workers=workers, tick=tick,
@@ -224,25 +248,20 @@ def _numbers(flags: DesignFlags, first: int, n: int) -> range:
     return range(first, first + n)
 
 
-def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> list[ByWait]:
-    """Play `n` starts of each scene with the whole skin, for each way to wait.
-
-    Return them for each threshold.
-    """
+def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
+    """Play `n` starts of each scene with the whole skin, for each way to wait."""
     flags, numbers = pool.flags, _numbers(pool.flags, first, n)
-    played: list[ByWait] = [{} for _ in flags.thresholds]
+    played: ByWait = {}
     for wait in flags.waits:
         scenes = [waiting(scene, wait) for scene in pool.scenes.values()]
-        recordings = record(
-            pool.env, scenes, pool.skin, numbers, workers, partial(tick, START), flags.thresholds
+        played[wait] = record(
+            pool.env, scenes, pool.skin, pool.delays, numbers, workers, partial(tick, START)
         )  # fmt: skip
-        for by_wait, starts in zip(played, recordings, strict=True):
-            by_wait[wait] = starts
     return played
 
 
 def _judged(use: Use, pool: Pool, choice: ByWait, test: ByWait) -> Design:
-    """Return what is chosen for one threshold, beside what it is compared with."""
+    """Return what is chosen for one sensor and threshold, beside what it is compared with."""
     judge = Judge(choice, test, pool)
     references = pool.references
     best = max(
@@ -251,20 +270,24 @@ def _judged(use: Use, pool: Pool, choice: ByWait, test: ByWait) -> Design:
     rows = [_without(use, len(judge))]
     rows += [judge.row(name, columns) for name, columns in references.items()]
     rows.append(judge.row("whole skin", pool.columns))
-    chosen = {}
-    for n in pool.flags.numbers:
-        picked = _choose(choice, pool, n)
-        columns = chosen[n] = [pool.columns[i] for i in picked.taxels]
+    chosen, picks = {}, _picks(choice, pool)
+    at = knee(
+        [0.0, *(pick.n if pick.price is None else pick.price for pick in picks)],
+        [use.blind, *(pick.chosen.value for pick in picks)],
+    )
+    for index, pick in enumerate(picks, 1):
+        columns = [pool.columns[i] for i in pick.chosen.taxels]
+        chosen[pick.n if pool.flags.budget is None else pick.price] = columns
         row = replace(
             judge.row("chosen", columns),
-            taxels=n,
-            chosen_from=picked.value,
-            chosen_worst=picked.worst if pool.flags.survives else None,
+            taxels=pick.n,
+            price=pick.price,
+            is_knee=index == at < len(picks),
+            chosen_from=pick.chosen.value,
             difference=judge.difference(columns, references[best]) if best else None,
         )
-        rng = np.random.default_rng([pool.flags.seed, n])
-        rows += [row, judge.random(n, rng)]
-    rows = [replace(row, threshold=use.threshold) for row in rows]
+        rows += [row, judge.random(pick)]
+    rows = [replace(row, sensor=use.sensor, threshold=use.threshold) for row in rows]
     return Design(pool, choice, test, chosen, best, rows, [])
 
 
@@ -277,15 +300,46 @@ def _without(use: Use, n: int) -> Row:
     )  # fmt: skip
 
 
-def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
-    """Choose the best `n` taxels of all ways to wait."""
+class Pick(NamedTuple):
+    """Hold a chosen set of taxels: how many are bought, on how many boards (0: any), for how much."""
+
+    n: int
+    boards: int
+    price: float | None
+    chosen: cover.Chosen
+
+
+def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
+    """Choose the best set of each size that is asked for, of all ways to wait.
+
+    Within a budget these are the sets that no cheaper one reaches. Raise ValueError where there is no
+    room for as many taxels as are asked for.
+    """
     losses = pool.losses.members[:, pool.columns] if pool.flags.survives else None
-    sets = []
-    for starts in choice.values():
-        starts = replace(starts, fires=starts.fires[:, pool.columns])
-        n_all, existing = n + len(pool.existing), range(len(pool.existing))
-        sets.append(cover.choose(starts, n_all, existing, pool.overlap, losses))
-    return max(sets, key=lambda chosen: (chosen.worst, chosen.value))
+    n_existing, budget, picks = len(pool.existing), pool.flags.budget, []
+    for n, boards in pool.sizes():
+        sets = []
+        for starts in choice.values():
+            starts = replace(starts, fires=starts.fires[:, pool.columns])
+            asked = n + n_existing, list(range(n_existing)), pool.room(boards), losses
+            sets.append(cover.choose(starts, *asked))
+        chosen = max(sets, key=lambda chosen: chosen[1:])
+        placed = [pool.columns[i] for i in chosen.taxels[n_existing:]]
+        if len(placed) < n and budget is None:
+            raise ValueError(
+                f"taxels: found {n}, allowed up to {len(placed)}; there is no room for more of this "
+                "radius"
+            )
+        price = pool.prices.of(placed) if pool.prices else None
+        picks.append(Pick(len(placed), boards, price, chosen))
+    if budget is None:
+        return picks
+    better: list[Pick] = []
+    picks.sort(key=lambda pick: (-(pick.price or 0.0), pick.chosen[1:]), reverse=True)
+    for pick in picks:
+        if not better or pick.chosen[1:] > better[-1].chosen[1:]:
+            better.append(pick)
+    return better
 
 
 class Judge:
@@ -347,9 +401,11 @@ class Judge:
             start_closing=wait,
         )
 
-    def random(self, n: int, rng: np.random.Generator) -> Row:
-        """Return means over random sets of `n` taxels, or as many as find room."""
-        sets = [drawn(n, self._pool, rng) for _ in range(RANDOM_SETS)]
+    def random(self, pick: Pick) -> Row:
+        """Return means over random sets of as many taxels, or as many as find room."""
+        n, fits = pick.n, self._pool.room(pick.boards)
+        rng = np.random.default_rng([self._pool.flags.seed, n])
+        sets = [drawn(n, self._pool, fits, rng) for _ in range(RANDOM_SETS)]
         rows = [self.row("random", taxels) for taxels in sets]
         means = np.mean([(row.success, row.felt, row.worst) for row in rows], axis=0)
         return Row("random", n, *means.tolist())
@@ -368,13 +424,11 @@ def _interval(rate: float, n: int) -> tuple[float, float]:
     return statistics.wilson_interval(round(n * rate), n)
 
 
-def drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
-    """Draw columns: those that the hand has, and `n` random ones that do not overlap."""
-    if pool.overlap is None:
-        return pool.existing + rng.choice(pool.free, n, replace=False).tolist()
+def drawn(n: int, pool: Pool, fits: cover.Fits, rng: np.random.Generator) -> list[int]:
+    """Draw columns: those that the hand has, and up to `n` random ones that find room."""
     n_existing, columns = len(pool.existing), pool.columns
     taxels = list(range(n_existing))
     for taxel in n_existing + rng.permutation(len(pool.free)):
-        if len(taxels) < n_existing + n and not pool.overlap[taxel, taxels].any():
+        if len(taxels) < n_existing + n and fits(taxels)[taxel]:
             taxels.append(int(taxel))
     return [columns[taxel] for taxel in taxels]

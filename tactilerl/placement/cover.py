@@ -9,8 +9,9 @@ without any.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ TIE_WEIGHT = (
 )
 EQUAL_SHARES = 1e-12  # difference of shares that are equal
 INTACT = 1e-6  # what success without a loss counts for among sets whose worst losses are equal
+Fits = Callable[[Sequence[int]], Array]
+"""Tells which other taxels there is room for beside some, bool (m,)."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class Starts:
     """(n, NEVER + 1) bool: does a hand succeed that closes after so many actions? False where
     nobody asked, and for NEVER."""
     sets_off: Array
-    """(n,) before which action no reading can tell that the object comes."""
+    """(n, m) before which action no reading of each taxel can tell that the object comes."""
     lets_go: Array
     """(n,) before which action it is let go."""
 
@@ -63,17 +66,17 @@ class Starts:
     @property
     def early(self) -> Array:
         """(m,) bool: taxels that fire in any start before the object has set off."""
-        return np.asarray((self.fires < self.sets_off[:, None]).any(axis=0))
+        return np.asarray((self.fires < self.sets_off).any(axis=0))
 
 
 class Chosen(NamedTuple):
     """A set of taxels, and how good it is."""
 
     taxels: list[int]
-    value: float
-    """Share of the starts that count."""
     worst: float
-    """The same after the worst loss that was thought of."""
+    """Share of the starts that count after the worst loss that was thought of."""
+    value: float
+    """The same without a loss."""
 
 
 def first_firing(starts: Starts, taxels: Sequence[int]) -> Array:
@@ -141,14 +144,13 @@ def greedy(
     starts: Starts,
     k: int,
     existing: Sequence[int],
-    overlap: Array,
+    fits: Fits,
     losses: Array,
     first: Sequence[int],
 ) -> list[int]:
     """Add to the taxels `first` until there are `k`, then swap as long as that gains something.
 
-    Those `existing` stay, and no two are chosen that `overlap`, bool (m, m). Return nothing where that
-    leaves no room for as many.
+    Those `existing` stay. Return nothing where there is no room for as many.
     """
     n_taxels = starts.fires.shape[1]
     ties = TIE_WEIGHT * starts.worth
@@ -158,7 +160,7 @@ def greedy(
         """Return the best set that is one of the `rests` and one taxel more, or nothing."""
         scores = np.full((len(rests), n_taxels), -np.inf)
         for rest, row in zip(rests, scores, strict=True):
-            is_free = _free(rest, overlap)
+            is_free = fits(rest)
             each = scores_with_each(starts, rest, losses).round(12) + ties
             row[is_free] = each[is_free]
         index, taxel = divmod(int(np.argmax(scores)), n_taxels)
@@ -179,29 +181,14 @@ def greedy(
     return chosen
 
 
-def _free(taxels: list[int], overlap: Array) -> Array:
-    """Tell which other taxels fit beside these, bool (m,)."""
-    is_taken = np.asarray(overlap[taxels].any(axis=0))
-    is_taken[taxels] = True
-    return np.asarray(~is_taken)
-
-
-def packed(k: int, existing: Sequence[int], overlap: Array) -> list[int]:
-    """Return `k` taxels, each of which leaves as much room for others as it can.
-
-    Raise ValueError where there is no room for as many.
-    """
+def packed(k: int, existing: Sequence[int], fits: Fits) -> list[int]:
+    """Return `k` taxels, or as many as find room, each of which leaves as much for others as it can."""
     chosen = list(existing)
-    while len(chosen) < k:
-        is_free = _free(chosen, overlap)
-        if not is_free.any():
-            n_placed = len(chosen) - len(existing)
-            raise ValueError(
-                f"taxels: found {k - len(existing)}, allowed up to {n_placed}; there is no room for "
-                "more of this radius"
-            )
-        n_in_the_way = overlap[:, is_free].sum(axis=1)
-        chosen.append(int(np.argmin(np.where(is_free, n_in_the_way, len(overlap)))))
+    while len(chosen) < k and (is_free := fits(chosen)).any():
+        left = {
+            taxel: fits([*chosen, taxel]).sum() for taxel in np.flatnonzero(is_free)
+        }
+        chosen.append(int(max(left, key=left.__getitem__)))
     return chosen
 
 
@@ -209,31 +196,36 @@ def choose(
     starts: Starts,
     k: int,
     existing: Sequence[int] = (),
-    overlap: Array | None = None,
+    fits: Fits | None = None,
     losses: Array | None = None,
 ) -> Chosen:
-    """Choose the best `k` taxels that are found, of which no two `overlap`.
+    """Choose the best `k` taxels that are found and fit (default: all do).
 
     The search begins with the `existing` ones alone, with each of the few that are worth most, and with
-    losses also with the best set for none. Raise ValueError where there is no room for as many.
+    losses also with the best set for none. Of fewer taxels than `k` there is no room for more.
     """
     n_taxels = starts.fires.shape[1]
-    if overlap is None:
-        overlap = np.zeros((n_taxels, n_taxels), bool)
-    firsts = [list(existing)]
+    if fits is None:
+        fits = partial(others, n_taxels)
+    is_free, firsts = fits(existing), [list(existing)]
     for taxel in np.argsort(-starts.worth, kind="stable")[:FIRSTS].tolist():
-        if taxel not in existing and not overlap[taxel, existing].any():
+        if is_free[taxel]:
             firsts.append([*existing, taxel])
     if losses is None:
         losses = np.zeros((0, n_taxels), bool)
     if len(losses):
-        firsts.append(choose(starts, k, existing, overlap).taxels)
-    sets = [greedy(starts, k, existing, overlap, losses, first) for first in firsts]
+        firsts.append(choose(starts, k, existing, fits).taxels)
+    sets = [greedy(starts, k, existing, fits, losses, first) for first in firsts]
     if not any(sets):
-        first = packed(k, existing, overlap)
-        sets = [greedy(starts, k, existing, overlap, losses, first)]
+        first = packed(k, existing, fits)
+        sets = [greedy(starts, len(first), existing, fits, losses, first)]
     best = max(
         filter(None, sets), key=lambda taxels: round(score(starts, taxels, losses), 12)
     )
     worst, _ = worst_loss(starts, best, losses)
-    return Chosen(sorted(best), value(starts, best), worst)
+    return Chosen(sorted(best), worst, value(starts, best))
+
+
+def others(n: int, taxels: Sequence[int]) -> Array:
+    """Tell which of `n` taxels are none of these, bool (n,)."""
+    return ~np.isin(np.arange(n), taxels)

@@ -1,80 +1,61 @@
-"""Write what a design leaves: layout files, a picture, and in a folder a page and JSON."""
+"""Write what a design leaves: layouts with a drawing each, and in a folder a page and JSON."""
 
 from __future__ import annotations
 
-import io
-import json
-from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from ..envs import layouts
 from ..errors import InputError
-from ..files import locked, replacing, require_new
-from ..pictures.hand_map import TaxelMap, save_picture
+from ..files import as_json, locked, replacing, require_new
 from .choice import Design
+from .drawing import drawing
 from .page import page
 
-PIXELS = 900  # height of the hand in its picture
-SPOT = 1e-3  # m, radius of a candidate there
+DRAWING = ".svg"
 
 
-def paths(out: Path, numbers: Sequence[int]) -> list[Path]:
-    """Return which files are written, layouts first; InputError where `out` can be no such place."""
+def require(out: Path, is_one: bool, overwrite: bool) -> None:
+    """Raise InputError where nothing can be written to `out`, before minutes of playing.
+
+    One layout may go into a file; it, and several, into a folder.
+    """
     if out.suffix == ".toml":
-        if len(numbers) > 1:
+        if not is_one:
             raise InputError(
                 f"--out: found {str(out)!r}, allowed a folder for several numbers of taxels"
             )
         if not out.parent.is_dir():
             raise InputError(f"--out: found no folder {str(out.parent)!r}")
-        return [out, out.with_suffix(".png")]
-    if out.suffix or (out.exists() and not out.is_dir()):
+        require_new(out.with_suffix(DRAWING), overwrite)
+    elif out.suffix or (out.exists() and not out.is_dir()):
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
-    names = [f"design_{n}.toml" for n in numbers]
-    return [out / name for name in [*names, "hand.png", "design.html", "design.json"]]
+    require_new(out, overwrite)
 
 
-def require(out: Path, numbers: Sequence[int], overwrite: bool) -> None:
-    """Raise InputError where nothing can be written to `out`, before minutes of playing."""
-    for path in [out, *paths(out, numbers)]:
-        require_new(path, overwrite)
+def write(design: Design, out: Path) -> dict[Path, float | None]:
+    """Write the layouts, drawings, and in a folder a page and JSON; return which files those are.
 
-
-def write(design: Design, out: Path) -> list[Path]:
-    """Write the layouts, a picture, and in a folder a page and JSON; return which files those are.
-
-    ValueError where a layout would not be read again, and then nothing is written.
+    Of layouts, return which set each is. ValueError where a layout would not be read again, and then
+    nothing is written.
     """
-    texts = [design.layout(n).toml() for n in design.chosen]
-    for text in texts:
-        layouts.load(text).place(design.pool.hand)
-    contents = [*(text.encode() for text in texts), _picture(design)]
-    files = paths(out, list(design.chosen))
-    if len(files) > len(contents):
-        contents.append(page(design))
-        contents.append((json.dumps(design.as_dict(), indent=1) + "\n").encode())
-    with nullcontext() if out.suffix else locked(out):
-        for path, content in zip(files, contents, strict=True):
+    pool, sets = design.pool, list(design.chosen)
+    is_file = out.suffix == ".toml"
+    contents: dict[Path, bytes] = {}
+    written: dict[Path, float | None] = {}
+    for key in sets[-1:] if is_file else sets:
+        layout = design.layout(key)
+        text = layout.toml()
+        taxels = layouts.load(text).place(pool.hand)
+        path = out if is_file else out / f"design_{key:g}.toml"
+        contents[path], written[path] = text.encode(), key
+        drawn = drawing(pool.hand, taxels, layout.description)
+        contents[path.with_suffix(DRAWING)] = drawn.encode()
+    if not is_file:
+        contents[out / "design.html"] = page(design)
+        contents[out / "design.json"] = as_json(design.as_dict())
+    with nullcontext() if is_file else locked(out):
+        for path, content in contents.items():
             with replacing(path) as file:
                 file.write(content)
-    return files
-
-
-def _picture(design: Design) -> bytes:
-    """Return a PNG of the unrolled hand with the largest chosen set lit, and spots for candidates."""
-    pool, file = design.pool, io.BytesIO()
-    chosen = design.chosen[max(design.chosen)]
-    skin = pool.skin.take(pool.columns)
-    points = [
-        point
-        if column in pool.existing or column in chosen
-        else point._replace(radius=SPOT)
-        for column, point in zip(pool.columns, skin.points, strict=True)
-    ]
-    drawn = TaxelMap(pool.hand, replace(skin, points=tuple(points)), PIXELS)
-    save_picture(drawn.picture(np.isin(pool.columns, chosen)), file, ".png")
-    return file.getvalue()
+    return {path: written.get(path) for path in contents}

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..envs import layouts
 from ..pictures import places
-from ..pictures.hand_map import LETTERS, TaxelMap, labels, panels
+from ..pictures.hand_map import LETTERS, Unrolled
 from ..style import NAMES
 from .choice import Design
 from .cover import Starts
@@ -31,11 +31,10 @@ def page(design: Design) -> bytes:
 def _data(design: Design) -> dict[str, Any]:
     """Return what the page has to know, which design.html reads."""
     pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin
-    drawn, simulator = TaxelMap(hand, taxels, 100), design.as_dict()["simulator"]
+    drawn, simulator = Unrolled(hand), design.as_dict()["simulator"]
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
-    dots = []
+    words, dots = places.described(taxels, hand), []
     for index, place in enumerate(places.of(taxels)):
-        surface = hand.surfaces[place.surface]
         x, y = drawn.point(place)
         layout = layouts.of_taxels(taxels.take([index]), hand, "")
         dots.append(
@@ -44,9 +43,8 @@ def _data(design: Design) -> dict[str, Any]:
                 "y": round(y, 2),
                 "radius": place.radius,
                 "name": taxels.names[index],
-                "segment": f"{surface.digit}.{surface.segment}",
-                "row": place.row,
-                "column": place.column,
+                "where": words[index],
+                "board": int(pool.prices.groups[index]) if pool.prices else 0,
                 "toml": layout.toml().split("\n", 1)[1],  # without the description
                 "candidate": index in pool.columns,
             }
@@ -57,9 +55,9 @@ def _data(design: Design) -> dict[str, Any]:
         + ", ".join(pool.scenes),
         "panels": [
             [left, high, right - left, high - low]
-            for left, low, right, high in (panel.box for panel in panels(hand))
+            for left, low, right, high in (panel.box for panel in drawn.panels)
         ],
-        "labels": labels(hand, panels(hand)),
+        "labels": drawn.labels,
         "letters": LETTERS,
         "extent": drawn.extent,
         "dots": dots,
@@ -76,8 +74,11 @@ def _data(design: Design) -> dict[str, Any]:
         "losses": [[name, np.flatnonzero(lost).tolist()] for name, lost in losses],
         "rows": [asdict(row) for row in design.rows],
         "verdict": design.sentences(),
-        "kept": len(pool.existing),
-        "sets": design.chosen,
+        "kept": pool.existing,
+        "sensor": pool.sensor._replace(cost=None)._asdict(),
+        "cost": asdict(pool.prices.cost) if pool.prices else None,
+        "budget": pool.flags.budget,
+        "sets": list(design.chosen.items()),
         "layouts": pool.references,
     }
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
 
 from .. import statistics
-from ..envs import layouts, tasks, vector
+from ..envs import tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.observations import TaxelFaults
 from . import reflexes
@@ -138,55 +138,9 @@ def without_touch(results: list[HandResult]) -> HandResult:
     return max(blind, key=lambda result: result.rate)
 
 
-def verdict(results: list[HandResult]) -> str:
-    """Return one sentence about what touch can win in the scene."""
-    rates, blind = {one.name: one.rate for one in results}, without_touch(results)
-    room = rates["sighted"] - blind.rate
-    if not pays(rates["sighted"], blind.rate):
-        return (
-            f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds in "
-            f"{blind.rate:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
-        )
-    gained = min(max(0.0, rates["touch"] - blind.rate), room)
-    caution = (
-        " Even with sight the hand often fails: improve the hand or the scene before you train."
-        if rates["sighted"] < USABLE
-        else ""
-    )
-    return (
-        f"Touch closes {gained:.2f} of the {room:.2f} gap between the best scripted hand without touch "
-        f"({blind.name}, {blind.rate:.2f}) and the sighted one ({rates['sighted']:.2f}).{caution}"
-    )
-
-
 def pays(touch: float, blind: float) -> bool:
     """Tell whether a success rate is enough above that of the best hand without touch."""
     return round(touch - blind, 9) >= MIN_GAIN
-
-
-def where_touch_stops(rates: Mapping[float, tuple[float, float]]) -> str:
-    """Return one sentence about the thresholds, N, at which touch pays.
-
-    `rates` are success rates by threshold: that of a hand with touch, and that of the best without.
-    """
-    paying = [threshold for threshold in sorted(rates) if pays(*rates[threshold])]
-    if not paying:
-        figures = [
-            f"{touch:.2f} against {blind:.2f} at {threshold:g} N"
-            for threshold, (touch, blind) in sorted(rates.items())
-        ]
-        return f"Touch pays at none of these thresholds: {', '.join(figures)}."
-    above = [threshold for threshold in sorted(rates) if threshold > paying[-1]]
-    if above:
-        touch, blind = rates[above[0]]
-        return (
-            f"Touch stops paying at a threshold of {above[0]:g} N: touch succeeds in "
-            f"{touch:.2f} of the starts, the best hand without in {blind:.2f}."
-        )
-    return (
-        f"Touch pays at {', '.join(f'{threshold:g}' for threshold in paying)} N: it succeeds in at "
-        f"least {MIN_GAIN:g} more of the starts than the best hand without."
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,29 +162,29 @@ class Comparison:
         return ", ".join(parts)
 
     def sentences(self) -> list[str]:
-        """Say what touch can win, from which threshold on it no longer pays, and what to try."""
-        others = [result for result in self.results if result.name != "touch"]
-        verdicts = {
-            self.label(variant): verdict([*others, result])
-            for variant, result in self.with_touch
-        }
-        said = [f"{label}: {sentence}" for label, sentence in verdicts.items()]
-        if len({*verdicts.values()}) == 1:
-            said = [*verdicts.values()][:1]
-        blind = without_touch(self.results).rate
-        by_layout: dict[str, dict[float, tuple[float, float]]] = {}
+        """Say what touch can win with each layout and threshold, and where it does not, what to try."""
+        blind = without_touch(self.results)
+        sighted = next(one.rate for one in self.results if one.name == "sighted")
+        if not pays(sighted, blind.rate):
+            return [
+                f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds "
+                f"in {blind.rate:.2f} of its starts, the sighted one in {sighted:.2f}."
+            ]
+        room, said = sighted - blind.rate, []
         for variant, result in self.with_touch:
-            rates = by_layout.setdefault(variant.layout, {})
-            rates[variant.taxel_threshold or 0.0] = result.rate, blind
-        for layout, rates in by_layout.items():
-            about = f"Layout {layout}: " if len(by_layout) > 1 else ""
-            if len(rates) > 1:
-                said.append(about + where_touch_stops(rates))
-        sighted = next(one.rate for one in others if one.name == "sighted")
-        is_paid = any(pays(result.rate, blind) for _, result in self.with_touch)
-        if pays(sighted, blind) and not is_paid:
+            label, gained = self.label(variant), max(0.0, result.rate - blind.rate)
+            verdict = "pays" if pays(result.rate, blind.rate) else "does not pay"
             said.append(
-                _what_to_try(*max(self.with_touch, key=lambda row: row[1].rate), blind)
+                f"Touch {verdict}{label and f' ({label})'}: it closes {min(gained, room):.2f} of the "
+                f"{room:.2f} gap between the best scripted hand without touch ({blind.name}, "
+                f"{blind.rate:.2f}) and the sighted one ({sighted:.2f})."
+            )
+        best, result = max(self.with_touch, key=lambda row: row[1].rate)
+        if not pays(result.rate, blind.rate):
+            said.append(_what_to_try(best))
+        if sighted < USABLE:
+            said.append(
+                "Even with sight the hand often fails: improve the hand or the scene before you train."
             )
         return said
 
@@ -250,18 +204,13 @@ class Comparison:
         }
 
 
-def _what_to_try(variant: GraspConfig, best: HandResult, blind: float) -> str:
+def _what_to_try(variant: GraspConfig) -> str:
     """Return one sentence for a scene in which touch could pay, and with this layout does not."""
+    if tasks.TASKS[variant.task].giver is None:
+        return "Try other layouts (--layout)."
     force = variant.taxel_threshold
-    at = "" if force is None else f"at {force:g} N, "
-    advice = "try other layouts (--layout)"
-    if tasks.TASKS[variant.task].giver is not None:
-        flag = "" if force is None else f" --taxel-threshold {force:g}"
-        advice = f"tactilerl design{flag} looks for places where it does"
-    return (
-        f"Touch does not pay {at}with layout {layouts.short(variant.layout)}: {best.rate:.2f} against "
-        f"{blind:.2f}; {advice}."
-    )
+    flag = "" if force is None else f" --taxel-threshold {force:g}"
+    return f"Try tactilerl design{flag}, which looks for places where it pays."
 
 
 def compare(

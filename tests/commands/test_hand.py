@@ -267,7 +267,7 @@ def test_from_model_to_training(monkeypatch, capsys):
     Path("hand.xml").write_text(MODEL)
     said = printed(capsys, ["hand", "hand.xml", "--out", "new/mine.toml"])
     assert "thumb = { links = [" in said
-    assert "next: tactilerl env --env new/mine.toml --check" in said
+    assert "next: tactilerl design --env new/mine.toml --sensor fsr" in said
     assert len(hands.get("new/mine.toml").grasps) == 1
     flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
     flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]

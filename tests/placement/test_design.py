@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,10 +15,21 @@ from tactilerl.envs import hands, layouts, scenes
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import Point
 from tactilerl.envs.layouts import Taxels
+from tactilerl.envs.sensors import Cost
 from tactilerl.placement import choice, cover
-from tactilerl.placement.candidates import DesignFlags, Pool, candidates, joined, losses_of, overlap
+from tactilerl.placement.candidates import (
+    DesignFlags,
+    Pool,
+    candidates,
+    fitted,
+    groups_of,
+    joined,
+    overlap,
+)
 from tactilerl.placement.cover import NEVER, Starts
+from tactilerl.placement.prices import Prices, knee
 from tactilerl.placement.recording import record
+from tactilerl.scripted import gate
 from tactilerl.scripted.reflexes import Reflex
 
 from one_line import fails_with
@@ -36,10 +48,15 @@ def some(rng, n=12, m=8):
 
 def starts_of(fires, succeeds):
     n = len(fires)
-    return Starts(np.array(fires, np.uint8), succeeds, np.zeros(n), np.zeros(n))
+    return Starts(np.array(fires, np.uint8), succeeds, np.zeros((n, 1)), np.zeros(n))
 
 
 NO_LOSS = np.zeros((0, 8), bool)
+
+
+def apart(overlap):
+    """Room for taxels of which no two overlap."""
+    return lambda taxels: cover.others(len(overlap), taxels) & ~overlap[taxels].any(axis=0)
 
 
 def best_of(starts, k, existing=(), overlap=None, losses=NO_LOSS):
@@ -107,7 +124,7 @@ class TestCover:
         starts, overlap = some(np.random.default_rng(4)), np.zeros((8, 8), bool)
         free = cover.choose(starts, 3)
         overlap[np.ix_(free.taxels, free.taxels)] = ~np.eye(3, dtype=bool)
-        result = cover.choose(starts, 3, overlap=overlap)
+        result = cover.choose(starts, 3, fits=apart(overlap))
         assert not overlap[np.ix_(result.taxels, result.taxels)].any()
         best = best_of(starts, 3, overlap=overlap)
         assert cover.score(starts, result.taxels, NO_LOSS) == pytest.approx(best)
@@ -117,22 +134,73 @@ class TestCover:
         succeeds[:, 5] = True
         starts = starts_of([[5, 5, NEVER]] * 2 + [[NEVER, 5, 5]] * 2 + [[5, NEVER, 5]], succeeds)
         overlap = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], bool)  # a row of three
-        assert cover.choose(starts, 2, overlap=overlap).taxels == [0, 2]
+        assert cover.choose(starts, 2, fits=apart(overlap)).taxels == [0, 2]
 
     def test_no_room(self):
         starts, overlap = some(np.random.default_rng(5)), ~np.eye(8, dtype=bool)
-        with pytest.raises(ValueError, match="taxels: found 3, allowed up to 1"):
-            cover.choose(starts, 3, overlap=overlap)
+        assert len(cover.choose(starts, 3, fits=apart(overlap)).taxels) == 1
+
+
+class TestPrices:
+    """Two groups of four taxels that share no board; two taxels a board."""
+
+    PRICES = Prices(Cost(1.0, 10.0, 2), np.repeat([0, 1], 4))
+
+    def test_boards_of_a_group_and_what_fits_on_them(self):
+        assert [self.PRICES.of(taxels) for taxels in ([], [0], [0, 1], [0, 4], [0, 1, 2])] == [
+            0, 11, 12, 22, 23,
+        ]  # fmt: skip
+        assert np.flatnonzero(self.PRICES.fits([0], 1)).tolist() == [0, 1, 2, 3]
+        assert self.PRICES.fits([0, 1], 2).all()
+        assert not self.PRICES.fits([0, 1], 1).any()
+        everywhere = Prices(Cost(1.0, 10.0), np.zeros(8, int))
+        assert everywhere.of(range(8)) == 18
+
+    def test_what_money_buys(self):
+        assert self.PRICES.sizes(range(8), range(1, 4), 23) == [(1, 1), (2, 1), (2, 2), (3, 2)]
+        assert Prices(Cost(2.0), np.zeros(8, int)).sizes([0, 1], range(1, 9), 5) == [(1, 1), (2, 1)]
+        with pytest.raises(ValueError, match="budget: found 10, allowed 11 or more, the price of 1 of"):
+            self.PRICES.sizes(range(8), range(1, 4), 10)
+
+    @pytest.mark.parametrize("budget", [11, 12, 22, 24, 36])
+    def test_no_other_set_within_the_budget_is_better(self, budget):
+        for seed in range(5):
+            starts = some(np.random.default_rng(seed))
+            flags = DesignFlags(budget=budget, taxels="1..4")
+            pool = dataclasses.replace(a_pool(), prices=self.PRICES, flags=flags)
+            picks = choice._picks({None: starts}, pool)
+            sets = [x for n in range(1, 5) for x in itertools.combinations(range(8), n)]
+            for pick in picks:
+                assert pick.price == self.PRICES.of(pick.chosen.taxels) <= budget
+                best = max(cover.value(starts, x) for x in sets if self.PRICES.of(x) <= pick.price)
+                assert pick.chosen.value == pytest.approx(best)
+            assert pick.chosen.value == max(
+                cover.value(starts, x) for x in sets if self.PRICES.of(x) <= budget
+            )
+            prices, values = zip(*((pick.price, pick.chosen.value) for pick in picks), strict=True)
+            assert [*prices] == sorted(set(prices))
+            assert [*values] == sorted(set(values))
+
+    def test_the_knee(self):
+        assert knee([0, 10, 20, 30, 40], [0.1, 0.3, 0.8, 0.85, 0.9]) == 2
+        assert knee([0, 10, 20], [0.5, 0.4, 0.3]) == 0
+
+
+@cache
+def a_pool():
+    """A pool of eight candidates that nothing else is known of."""
+    [pool] = Pool.of(DesignFlags(scene=("handover",), taxels="1", skin="20mm", beside=()))
+    return dataclasses.replace(pool, free=[*range(8)])
 
 
 class TestSizes:
     """Sensors of a radius of their own."""
 
     def test_random_sets_do_not_overlap(self):
-        pool = Pool.of(DesignFlags(scene=("handover",), radius=10.0))
+        [pool] = Pool.of(DesignFlags(scene=("handover",), radius=10.0))
         assert pool.overlap.any()
         for seed in range(5):
-            drawn = choice.drawn(8, pool, np.random.default_rng(seed))
+            drawn = choice.drawn(8, pool, pool.room(0), np.random.default_rng(seed))
             at = [pool.columns.index(column) for column in drawn]
             assert len(set(drawn)) == 8
             assert not pool.overlap[np.ix_(at, at)].any()
@@ -141,7 +209,7 @@ class TestSizes:
     def test_sensors_keep_their_distance_along_the_skin(self, name):
         """On a flat palm 6 mm, around a finger as much of its arc, and from one segment to the next."""
         hand = hands.get(name)
-        taxels = candidates(DesignFlags(radius=3.0), hand)
+        taxels = fitted(candidates(DesignFlags(), hand), radius=3e-3)
         overlapping = overlap(hand, taxels)
         a, b = np.argwhere(~overlapping & (taxels.surfaces[:, None] == taxels.surfaces)).T
         apart = np.linalg.norm(taxels.positions[a] - taxels.positions[b], axis=1)
@@ -169,7 +237,7 @@ class TestSizes:
         file = tmp_path / "there.toml"
         file.write_text('[[patch]]\ndigits = ["index"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\n'
                         "radius_mm = 3\n")  # fmt: skip
-        pool = Pool.of(DesignFlags(scene=("handover",), keep=str(file)))
+        [pool] = Pool.of(DesignFlags(scene=("handover",), keep=str(file)))
         free = pool.skin.take(pool.columns[1:])
         there = pool.skin.points[pool.columns[0]]
         assert there.radius == pytest.approx(3e-3)
@@ -183,7 +251,7 @@ class TestLosses:
         hand = hands.get("mpl")
         taxels = candidates(DesignFlags(skin="8mm"), hand)
         on = [(s.digit, s.segment) for s in (hand.surfaces[i] for i in taxels.surfaces)]
-        digits, segments = (losses_of(kind, hand, taxels) for kind in ("digit", "segment"))
+        digits, segments = (groups_of(kind, hand, taxels, "") for kind in ("digit", "segment"))
         assert {*digits.names} == {*hand.digits, "palm"}
         assert (digits.members.sum(axis=0) == 1).all()
         index = digits.members[digits.names.index("index")]
@@ -192,7 +260,7 @@ class TestLosses:
         file = tmp_path / "boards.toml"
         file.write_text('[[group]]\nname = "a"\ndigits = ["index"]\n[[group]]\nname = "b"\n'
                         f'segments = ["palm"]\ntaxels = ["{taxels.names[0]}"]\n')  # fmt: skip
-        names, members = losses_of(str(file), hand, taxels)
+        names, members = groups_of(str(file), hand, taxels, "survives")
         assert names == ("a", "b")
         assert members[0].tolist() == index.tolist()
         assert members[1].sum() == sum(at[1] == "palm" for at in on) + 1
@@ -202,9 +270,6 @@ class TestLosses:
         [
             ("", "group"),
             ("group = []", "group: found none, allowed one or more"),
-            ('[[group]]\nname = " "\ndigits = ["index"]\n', "found one without a name"),
-            ('[[group]]\nname = "a"\n', "group a: found nothing in it, allowed taxels, digits or"),
-            (2 * '[[group]]\nname = "a"\ndigits = ["index"]\n', "group: found a 2 times, allowed once"),
             ('[[group]]\nname = "a"\ndigits = ["toe"]\n', "toe: unknown"),
         ],
     )
@@ -212,7 +277,7 @@ class TestLosses:
         hand, file = hands.get("mpl"), tmp_path / "boards.toml"
         file.write_text(text)
         with pytest.raises(ValueError, match=named):
-            losses_of(str(file), hand, candidates(DesignFlags(), hand))
+            groups_of(str(file), hand, candidates(DesignFlags(), hand), "survives")
 
 
 class TestPrediction:
@@ -223,22 +288,24 @@ class TestPrediction:
         scene = scenes.load("handover")
         config = setup("mpl", **{**scene.on("mpl"), **choices})
         layout = layouts.load("5")
-        taxels = layout.place(hands.get("mpl"))
-        skin, [columns] = joined([taxels])
-        (starts,) = record("mpl", [config], skin, range(6), 1)
+        taxels = fitted(layout.place(hands.get("mpl")), threshold_N=config.taxel_threshold)
+        late = config.taxel_delay * config.control_dt
+        skin, delays, [columns] = joined([taxels], [late])
+        starts = record("mpl", [config], skin, delays, range(6), 1)
         expected = cover.successes(starts, columns)
         env = GraspEnv("mpl", dataclasses.replace(config, layout="5"))
         played = [Reflex("touch", 1, 1.0).play(env, number) for number in range(6)]
         assert played == expected.tolist()
         assert sum(played) > 0
 
-    def test_taxels_in_one_place_keep_their_thresholds(self):
+    def test_taxels_in_one_place_keep_their_thresholds_and_delays(self):
         soft = layouts.load("5").place(hands.get("mpl"))
-        hard = dataclasses.replace(soft, points=tuple(p._replace(threshold_N=5.0) for p in soft.points))
-        for sets in ([soft, hard], [hard, soft]):
-            skin, columns = joined(sets)
-            for taxels, own in zip(sets, columns, strict=True):
-                assert skin.thresholds[own].tolist() == taxels.thresholds.tolist()
+        sets = [soft, fitted(soft, threshold_N=5.0), soft]
+        skin, delays, columns = joined(sets, [0.0, 0.0, 0.1])
+        assert len(skin) == 3 * len(soft)
+        for taxels, late, own in zip(sets, (0.0, 0.0, 0.1), columns, strict=True):
+            assert skin.thresholds[own].tolist() == taxels.thresholds.tolist()
+            assert set(delays[own]) == {late}
 
 
 class TestCandidates:
@@ -255,10 +322,19 @@ class TestCandidates:
         left = where(leave_out=("thumb", "palm"))
         assert not {"thumb", "palm"} & {name for at in left for name in at}
 
-    def test_a_radius_of_ones_own(self):
-        taxels = candidates(DesignFlags(radius=4.0, skin="6"), hands.get("mpl"))
-        assert len(taxels) == 19
-        assert set(taxels.radii) == {4e-3}
+    def test_what_a_flag_says_counts_then_the_sensors_file_then_the_scene(self, tmp_path):
+        file = tmp_path / "pad.toml"
+        file.write_text("[sensor]\nradius_mm = 3\nthreshold_N = 0.2\ndelay_ms = 200\n")
+        scene = setup("mpl", taxel_threshold=0.5, taxel_delay=3)
+        [plain] = DesignFlags(radius=4.0).kinds(scene)
+        assert plain[:4] == (None, 0.004, 0.5, pytest.approx(3 * scene.control_dt))
+        pads = DesignFlags(sensor=(str(file), "switch"), taxel_threshold=(0.0, 0.3)).kinds(scene)
+        assert [pad[:3] for pad in pads[:2]] == [("pad", 0.003, 0.0), ("pad", 0.003, 0.3)]
+        assert pads[0].delay == 0.2
+        assert [pad.name for pad in pads[2:]] == ["switch"] * 2
+        [pool] = Pool.of(DesignFlags(scene=("handover",), sensor=(str(file),), skin="6"))
+        own = pool.skin.take(pool.free)
+        assert (len(own), {*own.radii}, {*own.thresholds}) == (19, {3e-3}, {0.2})
 
 
 def test_starts_are_resampled_within_their_scenes():
@@ -300,12 +376,12 @@ def test_layouts_are_compared_with_the_best_in_the_starts_to_choose_from():
     succeeds = np.zeros((4, NEVER + 1), bool)
     succeeds[:, 5] = True
     first, second = (starts_of([row] * 4, succeeds) for row in ([5, NEVER], [NEVER, 5]))
-    pool = Pool.of(DesignFlags(scene=("handover",), taxels="1", survives="digit"))
+    [pool] = Pool.of(DesignFlags(scene=("handover",), taxels="1", survives="digit"))
     pool = dataclasses.replace(
         pool, free=[0, 1], references={"1": [0], "2": [1]},
         losses=SimpleNamespace(names=("a",), members=np.zeros((1, 2), bool)),
     )  # fmt: skip
-    use = choice.Use(None, 1.0, 0.5, "timed", None)
+    use = choice.Use(None, None, 0.5, "timed", None)
     design = choice._judged(use, pool, {None: first}, {None: second})
     assert design.best == "1"
     assert design.chosen == {1: [0]}
@@ -314,14 +390,21 @@ def test_layouts_are_compared_with_the_best_in_the_starts_to_choose_from():
     assert rows["chosen"].difference[0] == 0.0
     design = dataclasses.replace(design, uses=[use])
     assert design.sentences() == [
-        "Touch does not pay: with 1 chosen taxel the hand succeeds in 0.00 of the starts, the best one "
-        "without touch (timed) in 0.50."
+        "Touch does not pay: with 1 taxel chosen the hand succeeds in 0.00 of the starts, the best one "
+        "without touch (timed, as the gate finds it) in 0.50."
     ]
 
 
 @pytest.mark.usefixtures("in_tmp")
 class TestCommand:
-    def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys):
+    def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys, monkeypatch):
+        examined, examine = [], gate.examine
+
+        def noted(*args, **named):
+            examined.append(examine(*args, **named))
+            return examined[-1]
+
+        monkeypatch.setattr(gate, "examine", noted)
         args = ["design", "--scene", "handover", "--taxels", "1..2", *FEW]
         for out in ("a", "b"):
             assert main([*args, "--out", out]) == 0
@@ -329,7 +412,8 @@ class TestCommand:
         assert "taxels for a hand that closes at the first touch" in said
         assert "tactilerl train --scene handover --layout a/design_1.toml" in said
         names = {path.name for path in Path("a").iterdir() if path.name != ".lock"}
-        assert names == {"design.json", "design_1.toml", "design_2.toml", "hand.png", "design.html"}
+        assert names == {"design.json", "design.html", *(f"design_{n}.{end}" for n in (1, 2)
+                                                      for end in ("toml", "svg"))}  # fmt: skip
         for name in names:
             assert Path("a", name).read_bytes() == Path("b", name).read_bytes(), name
         result = json.loads(Path("a/design.json").read_text())
@@ -344,7 +428,11 @@ class TestCommand:
         alone = json.loads(capsys.readouterr().out)["rows"]
         assert rows["random", 2] == next(row for row in alone if row["layout"] == "random")
         assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "4",
-                     "--search", "1", "--workers", "1"]) == 0  # fmt: skip
+                     "--search", "1", "--workers", "1", "--seed", "7"]) == 0  # fmt: skip
+        without = [
+            {one.name: one.reflex for one in found if one.name in gate.BLIND} for found in examined
+        ]
+        assert without[0] == without[-1]  # design and gate mean the same hands
 
     def test_from_python(self):
         few = dict(starts=4, test_starts=4, skin="8mm", beside=(), workers=1)
@@ -407,22 +495,53 @@ class TestCommand:
             (["--out", "x.png"], "--out: found 'x.png'"),
             (["--out", "mine.toml"], "it is there already"),
             (["--out", "gone/x.toml"], "found no folder 'gone'"),
-            (["--scene", "handover_fingers", "--only", "palm", "--skin=8mm", "--starts=3", "--json"],
-             "one that feels with all candidates in 0.00"),
+            (["--sensor", "gone"], "sensor: found 'gone'"),
+            (["--sensor", "fsr", "fsr"], "sensor: found fsr 2 times, allowed once"),
+            (["--sensor", "fsr", "switch", "--out", "x"], "--out: found with 2 of --sensor"),
+            (["--budget", "100"], "budget: found 100.0, allowed with a --sensor that has a [cost]"),
+            (["--budget", "nan", "--sensor", "fsr"], "budget: found nan"),
+            (["--budget", "0", "--sensor", "fsr"], "budget: found 0.0, allowed (0, inf)"),
+            (["--budget", "13", "--sensor", "fsr"], "budget: found 13, allowed 13.9 or more, the"),
+            (["--boards", "digit"], "boards: found digit, allowed with a --sensor that has a [cost]"),
+            (["--boards", "toe", "--sensor", "fsr"], "boards: found 'toe', allowed taxel, digit"),
+            (["--boards", "two.toml", "--sensor", "fsr"], "in 0 of the groups of two.toml"),
         ],
     )  # fmt: skip
     def test_what_cannot_be_is_one_line(self, args, named, capsys):
         mine = 'description = "My own."\n[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n'
         Path("mine.toml").write_text(mine)
+        Path("two.toml").write_text('[[group]]\nname = "a"\ndigits = ["index"]\n')
         Path("all.toml").write_text('base = "handover"\n[scene]\nactions = "all"\n')
         Path("faulty.toml").write_text('base = "handover"\n[scene]\ntaxel_dead = 0.1\n')
         fails_with(capsys, ["design", "--test-starts", "2", "--workers", "1", *args], named)
         assert Path("mine.toml").read_text() == mine
-        assert {path.name for path in Path().iterdir()} == {"mine.toml", "all.toml", "faulty.toml"}
+        names = {"mine.toml", "all.toml", "faulty.toml", "two.toml"}
+        assert {path.name for path in Path().iterdir()} == names
 
-    def test_a_scene_that_touch_cannot_help(self, capsys):
-        Path("seen.toml").write_text(
-            'base = "handover"\n[scene]\nobject_seen = "noisy"\nsight_noise = [0.001, 0.001]\n'
+    def test_a_budget(self, capsys):
+        """Two sensors on the same starts, the best set that money buys, where touch does not pay."""
+        Path("pad.toml").write_text(
+            "[sensor]\nradius_mm = 4\n[cost]\neach = 6.0\nboard = 10.0\nchannels = 2\n"
         )
-        scene = ["--scene", "seen.toml", "--json"]  # else a line says first that it plays
-        fails_with(capsys, ["design", *scene, *FEW], "scene: touch cannot help here")
+        Path("hard.toml").write_text("[sensor]\nthreshold_N = 99.0\n[cost]\neach = 20.0\n")
+        args = ["design", "--scene", "handover", *FEW, "--boards", "segment", "--budget", "40"]
+        assert main([*args, "--sensor", "pad.toml", "hard.toml", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert [row["sensor"] for row in found["rows"] if row["layout"] == "no touch"] == [
+            "pad",
+            "hard",
+        ]
+        chosen = [row for row in found["rows"] if row["layout"] == "chosen"]
+        assert (chosen[0]["price"], chosen[-1]["price"]) == (16, 20)
+        assert chosen[0]["success"] > chosen[-1]["success"] == 0
+        said = found["verdict"]
+        assert "Touch does not pay with hard at 99 N: with 1 taxel for 20 chosen" in said
+        assert "Best set of hard, success less that of pad in the same starts: -" in said
+        assert main([*args, "--sensor", "pad.toml", "--out", "best.toml"]) == 0
+        best = layouts.load("best.toml").place(hands.get("mpl"))
+        assert {*best.radii} == {4e-3}
+        drawing = Path("best.svg").read_text()
+        assert drawing.count("<circle") == len(best) == drawing.count("diameter 8 mm")
+        assert "palm, under the" in drawing
+        assert 'width="144.4mm"' in drawing
+        assert 'viewBox="-6 ' in drawing  # so that a unit is a millimetre

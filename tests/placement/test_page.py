@@ -1,14 +1,18 @@
 """The page of a design, in headless Chromium: its numbers are Python's, and anybody can use it."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tactilerl.envs import layouts
+from tactilerl.envs.sensors import Cost
+from tactilerl.pictures.hand_map import Unrolled
 from tactilerl.placement import choice, cover, page
-from tactilerl.placement.candidates import DesignFlags, Pool
+from tactilerl.placement.candidates import DesignFlags, Pool, groups_of
 from tactilerl.placement.cover import NEVER, Starts
+from tactilerl.placement.prices import Prices
 
 from browser import Browser, needs_chromium
 
@@ -44,13 +48,20 @@ def design(request):
     flags = DesignFlags(
         scene=("handover",), skin="6mm", survives=request.param, start_closing=(0.2, 0.3)
     )
-    pool, rng = Pool.of(flags), np.random.default_rng(0)
+    [pool], rng = Pool.of(flags), np.random.default_rng(0)
+    if request.param:
+        boards = groups_of("digit", pool.hand, pool.skin, "boards").members.argmax(axis=0)
+        flags = dataclasses.replace(flags, budget=100.0)
+        pool = dataclasses.replace(pool, flags=flags, prices=Prices(Cost(6.0, 40.0, 2), boards))
     recorded = [{wait: played(rng, len(pool.skin)) for wait in flags.start_closing} for _ in range(2)]
     judge = choice.Judge(*recorded, pool)
     rows = [judge.row("chosen", pool.columns[:3])]
-    use = choice.Use(None, 0.9, 0.2, "timed", 0.2)
+    if request.param:
+        rows[0] = dataclasses.replace(rows[0], price=98.0)
+    use = choice.Use(None, None, 0.2, "timed", 0.2)
     rows.append(choice._without(use, len(judge)))
-    return choice.Design(pool, *recorded, {3: pool.columns[:3]}, None, rows, [use]), judge
+    sets = {98.0 if request.param else 3: pool.columns[:3]}
+    return choice.Design(pool, *recorded, sets, None, rows, [use]), judge
 
 
 @pytest.fixture
@@ -74,6 +85,7 @@ class TestPage:
                 browser.click(f'[data-taxel="{taxel}"] circle')
             shown, expected = own(browser), judge.row("your set", taxels)
             assert shown["taxels"] == n
+            assert shown["price"] == (design.pool.prices and design.pool.prices.of(taxels))
             for key in ("success", "felt", "worst", "success_interval", "worst_interval"):
                 assert shown[key] == pytest.approx(getattr(expected, key)), (key, taxels)
             assert (shown["lost"], shown["start_closing"]) == (expected.lost, expected.start_closing)
@@ -89,8 +101,14 @@ class TestPage:
     @pytest.mark.parametrize("browser", [390], indirect=True)
     def test_on_a_phone_by_keyboard_and_for_weak_eyes(self, design, browser):
         assert browser.run("document.documentElement.scrollWidth") <= 390
-        assert "best one without touch (timed) in 0.20" in browser.run(TEXT.format("verdict"))
+        assert "best one without touch (timed, as the gate finds it) in 0.20" in browser.run(
+            TEXT.format("verdict")
+        )
         assert "no touch" in browser.run(TEXT.format("results"))
+        number, unit = (browser.run(TEXT.format(name)) for name in ("number", "unit"))
+        is_priced = bool(design[0].pool.prices)
+        assert (number, unit) == (("98 for 3", "price") if is_priced else ("3", "number of taxels"))
+        assert browser.run("document.querySelectorAll('#legend-of-set li').length") == 3
         sizes = "[...document.querySelectorAll('#map .chosen circle')].map(x => x.r.baseVal.value)"
         assert browser.run(sizes) == [2.0] * 3
         last = "[...document.querySelectorAll('#map g')].slice(-3).every(x => x.matches('.chosen'))"
@@ -108,7 +126,7 @@ class TestPage:
         assert own(browser)["taxels"] == 2
         browser.press("k")
         assert "1 dead" in own(browser)["layout"]
-        assert "mm towards the tip" in browser.run("document.getElementById('spot').textContent")
+        assert "segment, 6 mm towards the" in browser.run("document.getElementById('spot').textContent")
         address = browser.run("location.hash")
         browser.run(f"choose([]); location.hash = '{address}'; fromAddress()")
         assert browser.run("chosen.size + dead.size") == 3
@@ -119,6 +137,10 @@ class TestPage:
         chosen = browser.run(look.format(".chosen circle", "fill"))
         panel = browser.run(look.format("#map rect", "fill"))
         assert min(contrast(dot, panel), contrast(chosen, panel)) >= 3.0
+        browser("Emulation.setEmulatedMedia", media="print")
+        left, right, *_ = Unrolled(design[0].pool.hand).extent
+        printed = browser.run("document.getElementById('map').getBoundingClientRect().width")
+        assert printed == pytest.approx(96 / 25.4 * (right - left), abs=0.5)  # a mm is one on paper
 
 
 def contrast(*colours):

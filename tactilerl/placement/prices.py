@@ -1,0 +1,74 @@
+"""What sensors and their boards cost, and how many taxels some money buys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..envs.sensors import Cost
+from ..envs.state import Array
+
+
+@dataclass(frozen=True)
+class Prices:
+    """Say what sets of taxels cost: each one, and each board that reads some of one group."""
+
+    cost: Cost
+    groups: Array
+    """(m,) int: each taxel's group. A board serves one group only."""
+
+    @cached_property
+    def _channels(self) -> int:
+        return self.cost.channels or len(self.groups)
+
+    def _boards(self, taxels: Sequence[int], more: int = 0) -> Array:
+        """Return how many boards each group needs (g,), and with `more` taxels in each."""
+        counts = np.bincount(self.groups[list(taxels)], minlength=self.groups.max() + 1)
+        return -(-(counts + more) // self._channels)
+
+    def of(self, taxels: Sequence[int]) -> float:
+        """Return the price of some taxels and their boards."""
+        return self._price(len(taxels), int(self._boards(taxels).sum()))
+
+    def _price(self, n: int, boards: int) -> float:
+        return round(self.cost.each * n + self.cost.board * boards, 6)
+
+    def fits(self, taxels: Sequence[int], boards: int) -> Array:
+        """Tell which other taxels go on to no more than some boards beside these, bool (m,)."""
+        needed, more = self._boards(taxels), self._boards(taxels, 1)
+        return needed.sum() + (more - needed)[self.groups] <= boards
+
+    def sizes(
+        self, taxels: Sequence[int], numbers: Sequence[int], budget: float
+    ) -> list[tuple[int, int]]:
+        """Return the numbers of taxels, of these, and of boards that some money buys.
+
+        Raise ValueError where that is not even the least of the `numbers`.
+        """
+        n_groups, sizes = len(np.unique(self.groups[list(taxels)])), []
+        for n in numbers:
+            most = min(n, n_groups + max(0, n - n_groups) // self._channels)
+            fewest = -(-n // self._channels) if self.cost.board else most
+            sizes += [(n, boards) for boards in range(fewest, most + 1)]
+        affordable = [size for size in sizes if self._price(*size) <= budget]
+        if not affordable:
+            n, boards = sizes[0]
+            raise ValueError(
+                f"budget: found {budget:g}, allowed {self._price(n, boards):g} or more, the price of "
+                f"{n} of these sensors and {boards} of their boards"
+            )
+        return affordable
+
+
+def knee(prices: Sequence[float], successes: Sequence[float]) -> int:
+    """Return the index from which on more money buys little.
+
+    It is the point that is furthest above the line from the first to the last (Satopää et al. 2011,
+    "Finding a 'kneedle' in a haystack"). The first is what one has for nothing.
+    """
+    x, y = (np.asarray(values, float) for values in (prices, successes))
+    run, rise = max(x[-1] - x[0], 1e-9), max(y[-1] - y[0], 1e-9)
+    return int(np.argmax((y - y[0]) / rise - (x - x[0]) / run))
