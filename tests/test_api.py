@@ -371,7 +371,7 @@ class TestMistakes:
             dict(learner=whole["learner"].replace("[16]", str(999 * [300]))),
         ):  # small files that would take gigabytes
             store.write_tensors(Path("bad.pt"), {**whole, **change})
-            with pytest.raises(ValueError, match=r"bad\.pt: damaged \(\w+: found \d+ (parts|weights)"):
+            with pytest.raises(ValueError, match=r"bad\.pt: damaged \(\w+: found "):
                 tactilerl.load_policy("bad.pt")
         for change in (
             dict(policy_format=99),
