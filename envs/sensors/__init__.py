@@ -1,0 +1,126 @@
+"""Sensors as data: a file says what a taxel can do, what is unknown of it, and what it costs.
+
+`load` reads a sensor of the library, or a file of one's own. `chosen` puts its numbers into a
+configuration, whose fields `taxel_...` say what each means (`observations.SensorConfig`).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from .. import validation
+from ..validation import Fraction, Newtons
+
+FOLDER = Path(__file__).parent
+SUFFIX = ".toml"
+Money = Annotated[float, "[0, 1e9)"]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What sensors cost, in whatever currency; a board reads up to `channels` of them (None: any)."""
+
+    each: Money
+    board: Money = 0.0
+    channels: Annotated[int, "[1, 100000]"] | None = None
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """Table [sensor] of a file; what is not in it is unknown."""
+
+    radius_mm: Annotated[float, "[0.1, 20]"] | None = None
+    threshold_N: Newtons | None = None
+    release_N: Newtons | None = None
+    threshold_spread: Fraction | None = None
+    delay_ms: Annotated[float, "[0, 100000]"] | None = None
+    dead: Fraction | None = None
+    false_on: Fraction | None = None
+    false_off: Fraction | None = None
+    saturates_N: Annotated[float, "(0, 1000]"] | None = None
+    noise_N: Newtons | None = None
+    gain_spread: Fraction | None = None
+    drift_N_per_min: Newtons | None = None
+
+
+@dataclass(frozen=True)
+class _File:
+    """Content of a file."""
+
+    sensor: _Numbers
+    about: str = ""
+    source: str = ""
+    cost: Cost | None = None
+
+
+@dataclass(frozen=True)
+class SensorFile:
+    """What is known of a sensor, in SI units; None: unknown."""
+
+    name: str
+    about: str
+    source: str
+    radius: float | None
+    """Radius of what feels, m."""
+    threshold: float | None
+    """Force from which it fires, N."""
+    release: float | None
+    """Force below which it stops, N."""
+    threshold_spread: float | None
+    """Standard deviation of the threshold from sensor to sensor, relative."""
+    delay: float | None
+    """Time until a reading arrives, s."""
+    dead: float | None
+    """Share of sensors that never fire."""
+    false_on: float | None
+    """Probability per control step that an untouched sensor reads on."""
+    false_off: float | None
+    """Probability per control step that a touched sensor reads off."""
+    saturates: float | None
+    """Largest force that it can tell, N."""
+    noise: float | None
+    """Standard deviation of the noise of a reading, N."""
+    gain_spread: float | None
+    """Standard deviation of the gain from sensor to sensor, relative."""
+    drift: float | None
+    """Drift of the zero, N/min."""
+    cost: Cost | None
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the library's sensors."""
+    return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
+
+
+def load(name: str | Path) -> SensorFile:
+    """Return a sensor by name, or from a .toml file.
+
+    Raise ValueError naming what is wrong, and FileNotFoundError.
+    """
+    path = Path(name)
+    if path.suffix != SUFFIX:
+        validation.require_one_of([*names(), f"FILE{SUFFIX}"], str(name), "sensor")
+        path = FOLDER / f"{name}{SUFFIX}"
+    data = validation.read(path, "sensor file")
+    with validation.blamed(f"sensor file {path}"):
+        file = validation.fill(_File, data)
+        numbers = file.sensor
+        for field in ("release_N", "threshold_spread"):
+            if getattr(numbers, field) is not None and numbers.threshold_N is None:
+                raise ValueError(
+                    f"sensor.{field}: found without threshold_N, allowed with it"
+                )
+        if (numbers.release_N or 0.0) > (numbers.threshold_N or 0.0):
+            raise ValueError(
+                f"sensor.release_N: found {numbers.release_N}, allowed up to threshold_N, "
+                f"{numbers.threshold_N}"
+            )
+    values: dict[str, Any] = {}
+    for key, value in asdict(numbers).items():
+        field, _, unit = re.fullmatch("(.+?)(_(mm|ms|N|N_per_min))?", key).groups()  # type: ignore[union-attr]
+        is_milli = unit in ("mm", "ms") and value is not None
+        values[field] = 1e-3 * value if is_milli else value
+    return SensorFile(path.stem, file.about, file.source, **values, cost=file.cost)
