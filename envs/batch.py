@@ -36,6 +36,7 @@ BY_GROUP = frozenset(
         "layout",
         "touch",
         "hand_seed",
+        "sensor",
         *(f.name for f in fields(GraspConfig) if f.name.startswith("taxel_")),
     )
 )
@@ -107,7 +108,11 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.group_sizes = sizes = tuple(size for _, size in groups)
         """Number of worlds in each group."""
         self.num_envs = n = sum(sizes)
-        kinds = [replace(config, hand_seed=None) for config in configs]
+        # What differs between hands is drawn by their observers, but for thresholds: they are the rule's.
+        kinds = [
+            config if config.taxel_threshold_spread else replace(config, hand_seed=None)
+            for config in configs
+        ]
         made = {kind: GraspEnv(hand, kind) for kind in dict.fromkeys(kinds)}
         envs = [made[kind] for kind in kinds]
         self._single = single = envs[0]

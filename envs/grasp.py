@@ -15,6 +15,7 @@ from . import (
     objects,
     observations,
     plugins,
+    sensors,
     simulators,
     tasks,
     touch,
@@ -91,7 +92,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             raise ValueError(f"control_dt: {found}, allowed {allowed}")
         if self.touch_rule != "skin":
             validation.allow_only_with(
-                "touch_rule skin", self, "taxel_threshold", "taxel_release"
+                "touch_rule skin",
+                self,
+                *(f"taxel_{name}" for name in sensors.OF_FIRING),
             )
         if self.actions == "all":
             validation.allow_only_with("actions fingers or grip", self, "start_closing")
@@ -103,13 +106,13 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """Return the configuration of a hand's set-up, with some fields chosen otherwise.
 
-    Raise ValueError when there is no such field.
+    A `sensor` brings its numbers (`sensors.choose`). Raise ValueError when there is no such field.
     """
     usual, known = hands.usage(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)
-    return GraspConfig(**{**usual, **choices})
+    return sensors.choose(GraspConfig(), {**usual, **choices})
 
 
 def checked(action: Any, space: gym.Space[Any]) -> Array:
@@ -162,12 +165,15 @@ class GraspEnv(gym.Env[Any, Array]):
         if config.actions != "all":
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
+        if config.taxel_radius is not None:
+            self.taxels = self.taxels.resized(config.taxel_radius)
         self._touch = touch.make(
             config.touch_rule,
             self.taxels,
             self.hand,
             config.taxel_threshold,
             config.taxel_release,
+            observations.spread(config, "threshold", len(self.taxels)),
         )
         self.task: tasks.Task = task(
             config, self.hand, setup(hand).timestep, first.shape

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, islice, product
 from pathlib import Path
@@ -84,6 +84,11 @@ class Taxels:
     def thresholds(self) -> Array:
         """(n,) forces from which they fire, N; 0: any touch."""
         return np.array([point.threshold_N or 0.0 for point in self.points])
+
+    def resized(self, radius: float) -> Taxels:
+        """Return these taxels, all with a radius in m."""
+        points = tuple(point._replace(radius=radius) for point in self.points)
+        return replace(self, points=points)
 
     def take(self, chosen: Sequence[int]) -> Taxels:
         """Return the taxels with these indices."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from .hands import ARM, SLIDES, Hand
 from .objects import KINDS, Shape, host, like, namespace
+from .sensors import OF_FORCE
 from .state import Array, State
 from .validation import Fraction, Newtons, allow_only_with, require_one_of
 
@@ -38,6 +39,18 @@ class TaxelFaults:
     """Fraction of taxels that never fire; --hand-seed decides which."""
     taxel_stuck: Fraction = 0.0
     """Fraction of taxels that always fire; --hand-seed decides which."""
+    taxel_threshold_spread: Fraction = 0.0
+    """Standard deviation of the threshold over the taxels, relative to it; --hand-seed draws it."""
+    taxel_saturates: Annotated[float, "(0, 1000]"] | None = None
+    """Largest force that a taxel reads, N, by --touch-rule force; default: none."""
+    taxel_noise: Newtons = 0.0
+    """Standard deviation of the noise of a reading, N, drawn at every step; --touch-rule force."""
+    taxel_gain_spread: Fraction = 0.0
+    """Standard deviation of the gain over the taxels, whose mean is 1; --hand-seed draws it.
+    --touch-rule force."""
+    taxel_drift: Newtons = 0.0
+    """Drift of a taxel's zero, N a minute from the start of an episode, up or down as --hand-seed
+    decides; --touch-rule force."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +77,11 @@ class SensorConfig(TaxelFaults):
     """Like --joint-noise, for the slides that carry the hand, m."""
     slide_noise_held: Metres = 0.0
     """Like --joint-noise-held, for the slides, m."""
+    sensor: str = ""
+    """Sensor that all taxels are, by name or a .toml file: its numbers are the defaults of the
+    --taxel flags. Default: none, ideal taxels."""
+    taxel_radius: Annotated[float, "[0.0001, 0.02]"] | None = None
+    """Radius of the taxels, m; default: what the layout says."""
     taxel_delay: Annotated[int, "[0, 10000]"] = 0
     """Delay of the taxel readings, in control steps. If it is longer than the episode, the reading at
     its start is repeated throughout."""
@@ -72,7 +90,8 @@ class SensorConfig(TaxelFaults):
     taxel_release: Newtons | None = None
     """Force below which a taxel that fires stops, N; default: four fifths of its threshold."""
     hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
-    """Random seed that decides which taxels are broken; default: the run's seed, or 0 without a run."""
+    """Random seed of the hand: which taxels are broken, and how they differ from each other; default:
+    the run's seed, or 0 without a run."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +115,7 @@ def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
         allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
     if touch != "on":
         what = "touch on (else no taxel is read)"
-        taxels = "taxel_delay", "taxel_threshold", "taxel_release"
+        taxels = "taxel_delay", "taxel_radius", "taxel_threshold", "taxel_release"
         allow_only_with(what, config, *vars(TaxelFaults()), *taxels)
     release, highest = config.taxel_release, config.taxel_threshold or 0.0
     if release is not None and release > highest:
@@ -105,6 +124,9 @@ def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
     if not is_boolean:
         what = "Boolean taxels (touch_rule skin or contact)"
         allow_only_with(what, config, "taxel_false_on", "taxel_stuck")
+    else:
+        names = (f"taxel_{name}" for name in OF_FORCE)
+        allow_only_with("taxels that read a force (touch_rule force)", config, *names)
 
 
 # -- terms -----------------------------------------------------------------------------------
@@ -220,6 +242,48 @@ class Broken(Stage):
     def __call__(self, reading: Array) -> Array:
         """Return the reading with 0 and 1 where sensors are dead and stuck."""
         return reading * ~(self.dead | self.stuck) + 1.0 * self.stuck
+
+
+class ForceErrors(Stage):
+    """Errors of sensors that read a force: gain, drift of the zero, noise, and a largest reading.
+
+    Gains and the sign of the drift are the hand's.
+    """
+
+    def __init__(self, config: SensorConfig, n: int, control_dt: float) -> None:
+        """Draw the hand with `n` sensors."""
+        self._gains = spread(config, "gain", n)
+        signs = np.sign(hand_draws(config, "drift", n))
+        self._drift = config.taxel_drift * control_dt / 60 * signs  # N a control step
+        self._noise, self._highest = (
+            config.taxel_noise,
+            config.taxel_saturates or np.inf,
+        )
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin a new episode, at whose start the zero is right."""
+        super().reset(rng)
+        self._zero: Any = 0.0
+
+    def __call__(self, reading: Array) -> Array:
+        """Return what sensors say of forces, N, from 0 up."""
+        noise = self._noise * self._rng.standard_normal(size=reading.shape[-1])
+        felt = (self._gains * reading + self._zero + noise).clip(0.0)
+        self._zero = self._zero + self._drift
+        said: Array = namespace(felt).where(felt < self._highest, felt, self._highest)
+        return said
+
+
+def spread(config: SensorConfig, what: str, n: int) -> Array:
+    """Return factors (n,) from 0 up, by which a hand's sensors differ in "threshold" or "gain"."""
+    share: float = getattr(config, f"taxel_{what}_spread")
+    return (1.0 + share * hand_draws(config, what, n)).clip(0.0)
+
+
+def hand_draws(config: SensorConfig, what: str, n: int) -> Array:
+    """Return normal numbers (n,) that are a hand's for good."""
+    seed = config.hand_seed or 0, ("threshold", "gain", "drift").index(what)
+    return np.random.default_rng(seed).standard_normal(n)
 
 
 class Past(Stage):
@@ -415,7 +479,7 @@ class Observer:
         )
         self.senses: list[Any] = [Sight(config, first), *joints]
         """What changes a state on its way to the policy."""
-        stages = [make(config, len(taxel_names)) for make in STAGES]
+        stages = [make(config, len(taxel_names), control_dt) for make in STAGES]
         self.stages = [*filter(None, stages), Past(config.history)]
         """What the taxels' readings pass."""
         self.past = Past(config.history)
@@ -477,20 +541,28 @@ class Observer:
         return taxels
 
 
-STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
-    lambda config, n: (
+STAGES: list[Callable[[SensorConfig, int, float], Stage | None]] = [
+    lambda config, n, dt: (
+        ForceErrors(config, n, dt)
+        if config.taxel_saturates
+        or config.taxel_noise
+        or config.taxel_gain_spread
+        or config.taxel_drift
+        else None
+    ),
+    lambda config, n, _: (
         FalseReadings(config.taxel_false_on, config.taxel_false_off)
         if config.taxel_false_on or config.taxel_false_off
         else None
     ),
-    lambda config, n: (
+    lambda config, n, _: (
         Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
         if config.taxel_dead or config.taxel_stuck
         else None
     ),
-    lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
+    lambda config, n, _: Delay(config.taxel_delay) if config.taxel_delay else None,
 ]
 """Makers of the stages that the readings (n,) of taxels pass, one after another, each None where it
-would change nothing: bits flip at random, a broken sensor says the same whatever it feels, and all of
-it is late.
+would change nothing: forces have errors, bits flip at random, a broken sensor says the same whatever
+it feels, and all of it is late. They take the configuration, n, and the time of a control step, s.
 """

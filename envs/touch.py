@@ -309,11 +309,13 @@ def make(
     hand: Hand,
     threshold: float | None = None,
     release: float | None = None,
+    spread: Array | float = 1.0,
 ) -> Rule:
     """Return the rule of a name for some taxels.
 
     They fire from `threshold` N up (None: from their own) and stop below `release` N (None: `RELEASE`
-    of the threshold). Raise ValueError for a threshold with a rule that reads no force of its own.
+    of the threshold), both times `spread` (n,). Raise ValueError for a threshold with a rule that reads
+    no force of its own.
     """
     thresholds = taxels.thresholds
     if threshold is not None:
@@ -325,4 +327,4 @@ def make(
     releases = (
         RELEASE * thresholds if release is None else np.full(len(taxels), release)
     )
-    return ThresholdTouch(taxels, hand, thresholds, releases)
+    return ThresholdTouch(taxels, hand, spread * thresholds, spread * releases)

@@ -1,15 +1,17 @@
 """Sensors as data: a file says what a taxel can do, what is unknown of it, and what it costs.
 
-`load` reads a sensor of the library, or a file of one's own. `chosen` puts its numbers into a
-configuration, whose fields `taxel_...` say what each means (`observations.SensorConfig`).
+`load` reads a sensor of the library, or a file of one's own; `choose` puts its numbers into the fields
+`taxel_...` of a configuration, which say what each means (`observations.SensorConfig`).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from .. import validation
 from ..validation import Fraction, Newtons
@@ -17,6 +19,15 @@ from ..validation import Fraction, Newtons
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
 Money = Annotated[float, "[0, 1e9)"]
+OF_FIRING = "threshold", "release", "threshold_spread"
+OF_FORCE = "saturates", "noise", "gain_spread", "drift"
+UNUSED = {
+    "skin": OF_FORCE,
+    "contact": (*OF_FIRING, *OF_FORCE),
+    "force": (*OF_FIRING, "false_on"),
+}
+"""Numbers that do nothing, by touch rule."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -89,6 +100,21 @@ class SensorFile:
     """Drift of the zero, N/min."""
     cost: Cost | None
 
+    def fields(self, config: Any) -> dict[str, Any]:
+        """Return fields of `config`, a `grasp.GraspConfig`, with which its taxels are this sensor.
+
+        What is unknown, or does nothing with its touch rule, is as usual.
+        """
+        unused, usual = UNUSED.get(config.touch_rule, ()), _usual(config)
+        known = {
+            f"taxel_{name}": value
+            for name, value in vars(self).items()
+            if f"taxel_{name}" in usual and value is not None and name not in unused
+        }
+        if self.delay is not None:  # control steps
+            known["taxel_delay"] = round(self.delay / config.control_dt)
+        return usual | known
+
 
 def names() -> tuple[str, ...]:
     """Return the names of the library's sensors."""
@@ -124,3 +150,25 @@ def load(name: str | Path) -> SensorFile:
         is_milli = unit in ("mm", "ms") and value is not None
         values[field] = 1e-3 * value if is_milli else value
     return SensorFile(path.stem, file.about, file.source, **values, cost=file.cost)
+
+
+def choose(config: T, choices: Mapping[str, Any]) -> T:
+    """Return a copy of a `grasp.GraspConfig` with some fields chosen otherwise.
+
+    A sensor brings its numbers, which the other choices overrule; without touch there are none. Raise
+    ValueError naming what is wrong with the sensor, and FileNotFoundError.
+    """
+    changed: Any = validation.replace(config, choices)
+    numbers: dict[str, Any] = {}
+    if changed.sensor and changed.touch != "on":
+        numbers = _usual(config)
+    elif choices.get("sensor"):
+        validation.require(type(changed), vars(changed))
+        numbers = load(changed.sensor).fields(changed)
+    return validation.replace(config, {**numbers, **choices})
+
+
+def _usual(config: Any) -> dict[str, Any]:
+    """Return the defaults of all fields of taxels."""
+    fields = dataclasses.fields(config)
+    return {f.name: f.default for f in fields if f.name.startswith("taxel_")}

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
-from ..envs import validation
+from ..envs import sensors, validation
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
@@ -71,10 +71,13 @@ def main(args: list[str]) -> int:
     changed: dict[str, Any] = {}
     if scene is not None:
         names = validation.names(SensorConfig)
-        usual = SensorConfig(**{name: getattr(scene, name) for name in names})
+        now = {"touch": command.touch or scene.touch, "sensor": read.sensors.sensor}
+        with input_errors():
+            known = sensors.choose(scene, {k: v for k, v in now.items() if v})
+        usual = SensorConfig(**{name: getattr(known, name) for name in names})
         default = EvaluateFlags(command, usual)  # known only now
-        sensors = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
-        chosen = {**vars(sensors), "touch": command.touch or scene.touch}
+        given = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
+        chosen = {**vars(given), "touch": now["touch"]}
         changed = {k: v for k, v in chosen.items() if v != getattr(scene, k)}
         if scene.touch == "absent" and "touch" in changed:  # inputs that it never had
             raise InputError(

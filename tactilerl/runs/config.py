@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 from .. import algos, envs
 from ..algos import recipes
-from ..envs import hands, layouts, plugins, scenes, validation
+from ..envs import hands, layouts, plugins, scenes, sensors, validation
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..envs.validation import require_known, require_one_of
@@ -91,7 +91,8 @@ class RunConfig:
         chosen = {}
         for name, part in self.parts.items():
             values = {k: v for k, v in choices.items() if k in vars(part)}
-            chosen[name] = validation.replace(part, values)
+            choose = sensors.choose if name == "scene" else validation.replace
+            chosen[name] = choose(part, values)
         config = dataclasses.replace(self, **chosen)
         config.validate()
         return config

@@ -22,6 +22,7 @@ USABLE = 0.9  # success of the sighted hand from which a scene is worth training
 NO_FAULTS: dict[str, Any] = {
     **dataclasses.asdict(TaxelFaults()),
     "taxel_delay": 0,
+    "taxel_radius": None,
     "taxel_threshold": None,
     "taxel_release": None,
 }

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import tyro
 
 from ..algos import mpi
-from ..envs import validation
+from ..envs import sensors, validation
 from ..errors import InputError, input_errors
 
 T = TypeVar("T")
@@ -48,10 +48,25 @@ def parse(
 def parse_parts(
     parts: Mapping[str, Any], args: Sequence[str], prog: str, about: str
 ) -> Any:
-    """Read `args` over the values of several dataclasses; return an object with these by name."""
+    """Read `args` over the values of several dataclasses; return an object with these by name.
+
+    A sensor of the part `scene` brings its numbers, which the other flags overrule.
+    """
     kinds = [(name, type(part)) for name, part in parts.items()]
     options = dataclasses.make_dataclass("Options", kinds)
-    return parse(options, args, prog, about, options(**parts))
+    read: Any = parse(options, args, prog, about, options(**parts))
+    scene: Any = parts.get("scene")
+    if scene is None or (read.scene.sensor, read.scene.touch) == (
+        scene.sensor,
+        scene.touch,
+    ):
+        return read
+    deciding = "sensor", "touch", "touch_rule", "control_dt"
+    with input_errors():
+        known = sensors.choose(
+            scene, {name: getattr(read.scene, name) for name in deciding}
+        )
+    return parse(options, args, prog, about, options(**{**parts, "scene": known}))
 
 
 def peek(args: Sequence[str], *names: str) -> dict[str, str]:

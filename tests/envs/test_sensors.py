@@ -1,10 +1,15 @@
 """Sensors as files: what they say, what they refuse, and what their numbers do."""
 
 import re
+from contextlib import closing
 
+import numpy as np
 import pytest
-
+from tactilerl import envs
 from tactilerl.envs import sensors
+from tactilerl.envs.batch import require_batched
+from tactilerl.envs.grasp import GraspConfig, setup
+from tactilerl.envs.observations import ForceErrors
 
 
 def test_sensors_of_the_library_say_where_their_numbers_are_from():
@@ -55,10 +60,130 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path, content, said):
 
 
 def test_other_names_and_files_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"sensor: found 'fsr2', allowed: biotac, .*, FILE.toml"):
+    with pytest.raises(ValueError, match=r"sensor: found 'fsr2', allowed: biotac, .*, FILE\.toml"):
         sensors.load("fsr2")
-    with pytest.raises(FileNotFoundError, match="sensor file 'none.toml' does not exist"):
+    with pytest.raises(FileNotFoundError, match=r"sensor file 'none\.toml' does not exist"):
         sensors.load("none.toml")
     (tmp_path / "empty.toml").write_text("")
     with pytest.raises(ValueError, match="sensor: found None, allowed a table"):
         sensors.load(tmp_path / "empty.toml")
+
+
+def taxels(config):
+    return {k: v for k, v in vars(config).items() if k.startswith("taxel_")}
+
+
+USUAL = taxels(GraspConfig())
+
+
+@pytest.mark.parametrize(
+    ("choices", "expected"),
+    [
+        ({"sensor": "fsr"}, {"taxel_threshold": 0.2, "taxel_radius": 0.00381}),
+        ({"sensor": "fsr", "taxel_threshold": 0.0}, {"taxel_threshold": 0.0, "taxel_radius": 0.00381}),
+        (
+            {"sensor": "fsr", "touch_rule": "force"},
+            {"taxel_saturates": 20.0, "taxel_gain_spread": 0.06, "taxel_radius": 0.00381},
+        ),
+        ({"sensor": "fsr", "touch_rule": "contact"}, {"taxel_radius": 0.00381}),
+        ({"sensor": "fsr", "touch": "off"}, {}),
+        ({"sensor": "biotac", "control_dt": 0.004}, {"taxel_delay": 2}),
+        ({"sensor": "biotac", "control_dt": 0.02}, {"taxel_delay": 0}),
+        ({"sensor": "tactile_genesis"}, {"taxel_dead": 0.05}),
+        ({"sensor": "tactile_genesis", "taxel_dead": 0.0}, {"taxel_dead": 0.0}),
+    ],
+)
+def test_the_numbers_of_a_sensor_are_defaults_of_the_taxels_fields(choices, expected):
+    config = setup("shadow", **choices)
+    config.validate()
+    found = taxels(config)
+    assert {k: found[k] for k in expected} == expected
+    if "biotac" not in choices.values():
+        assert {k: v for k, v in found.items() if v != USUAL[k]}.keys() <= expected.keys()
+
+
+def test_another_sensor_replaces_all_numbers_and_no_touch_takes_them_away():
+    config = setup("shadow", sensor="switch", taxel_dead=0.5)
+    other = sensors.choose(config, {"sensor": "tactile_genesis"})
+    assert taxels(other) == {**USUAL, "taxel_dead": 0.05}
+    assert taxels(sensors.choose(config, {"touch": "off"})) == USUAL
+    assert sensors.choose(config, {"layout": "5"}).taxel_threshold == 0.98
+
+
+def thresholds(**choices):
+    with closing(envs.make("mpl", simulator="mujoco", layout=1, **choices)) as env:
+        return env.unwrapped._touch._thresholds, env.unwrapped._touch._releases
+
+
+def test_thresholds_scatter_from_taxel_to_taxel_once_a_hand():
+    choices = dict(taxel_threshold=0.3, taxel_release=0.2, taxel_threshold_spread=0.2)
+    fires, stops = thresholds(**choices, hand_seed=1)
+    assert fires.std() / 0.3 == pytest.approx(0.2, abs=0.04)
+    assert fires.mean() == pytest.approx(0.3, abs=0.02)
+    assert stops == pytest.approx(fires * 2 / 3)
+    assert (fires == thresholds(**choices, hand_seed=1)[0]).all()
+    assert (fires != thresholds(**choices, hand_seed=2)[0]).all()
+    assert thresholds(**{**choices, "taxel_threshold_spread": 1.0})[0].min() == 0.0
+
+
+def readings(forces, n_episodes=1, **choices):
+    """Return what is told (episodes, steps, n) of forces (steps, n)."""
+    config = setup("shadow", touch_rule="force", **choices)
+    stage = ForceErrors(config, forces.shape[1], control_dt=6.0)
+    told = []
+    for episode in range(n_episodes):
+        stage.reset(np.random.default_rng(episode))
+        told.append([stage(force) for force in forces])
+    return np.array(told)
+
+
+def test_forces_are_told_with_the_errors_of_their_sensors():
+    forces = np.full((50, 400), 2.0)
+    assert (readings(forces) == forces).all()
+    assert (readings(forces, taxel_saturates=1.5) == 1.5).all()
+    gains = readings(forces, 2, taxel_gain_spread=0.1) / 2.0
+    assert (gains == gains[0, 0]).all()  # the hand's
+    assert gains[0, 0].std() == pytest.approx(0.1, abs=0.01)
+    noise = readings(forces, 2, taxel_noise=0.3) - 2.0
+    assert noise.std() == pytest.approx(0.3, rel=0.02)
+    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.03
+    drift = readings(2.0 * forces, 2, taxel_drift=0.5) - 4.0  # 0.05 N in 6 s
+    assert np.abs(drift[:, -1]) == pytest.approx(49 * 0.05)
+    assert {*np.sign(drift[0, -1])} == {-1.0, 1.0}
+    assert (drift[0] == drift[1]).all()
+    assert readings(0.0 * forces, taxel_noise=0.3).min() == 0.0  # nothing is below 0
+
+
+def test_a_policy_is_told_the_errors_and_the_state_keeps_the_truth():
+    choices = dict(scene="handover", touch_rule="force", history=1)
+    with closing(envs.make(**choices, taxel_noise=0.1)) as env:
+        obs, _ = env.reset(seed=0)
+        assert obs["observation"][env.unwrapped.observation_entries("taxels")].max() > 0.0
+        assert (env.unwrapped.taxel_readings() == 0.0).all()
+        assert env.observation_space.contains(obs)
+
+
+@pytest.mark.parametrize(
+    ("choices", "said"),
+    [
+        ({"taxel_noise": 0.1}, r"taxel_noise: found 0.1, allowed only with taxels that read a force"),
+        ({"taxel_drift": 0.1, "touch": "off"}, "taxel_drift: .* only with touch on"),
+        ({"taxel_radius": 0.002, "touch": "off"}, "taxel_radius: .* only with touch on"),
+        (
+            {"taxel_threshold_spread": 0.1, "touch_rule": "force"},
+            "taxel_threshold_spread: .* only with touch_rule skin",
+        ),
+        ({"sensor": "switch", "taxel_threshold": 0.1}, "taxel_release: found 0.2 N, allowed up to"),
+        ({"sensor": "fsr", "control_dt": 0.0}, "control_dt: found 0.0"),
+        ({"sensor": "fsr3"}, "sensor: found 'fsr3', allowed: biotac"),
+    ],
+)
+def test_numbers_that_do_nothing_or_contradict_are_refused(choices, said):
+    with pytest.raises(ValueError, match=said):
+        envs.make("shadow", **choices)
+
+
+def test_a_batch_refuses_what_it_does_not_have():
+    config = setup("mpl", simulator="mujoco", taxel_threshold=0.1, taxel_threshold_spread=0.1)
+    with pytest.raises(ValueError, match=r"taxel_threshold_spread: .* only with one environment"):
+        require_batched([config])
