@@ -269,7 +269,7 @@ class ForceErrors(Stage):
         """Return what sensors say of forces, N, from 0 up."""
         noise = self._noise * self._rng.standard_normal(size=reading.shape[-1])
         felt = (self._gains * reading + self._zero + noise).clip(0.0)
-        self._zero = self._zero + self._drift
+        self._zero = self._zero + self._drift + 0.0 * reading  # as many as are told
         said: Array = namespace(felt).where(felt < self._highest, felt, self._highest)
         return said
 

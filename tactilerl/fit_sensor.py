@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -107,7 +108,7 @@ def _spread(values: Array) -> float:
 
 
 def _estimate(presses: Array, owners: Array) -> tuple[Array, Array]:
-    """Return the threshold of each specimen, and the mean threshold and release, N, and the delay, s."""
+    """Return each specimen's threshold, N; and the mean threshold and release, N, with the delay, s."""
     of_specimen = owners == np.unique(owners)[:, None]  # (k, n)
     shares = of_specimen / of_specimen.sum(axis=1, keepdims=True)
     means = shares @ presses  # (k, 4)
@@ -133,6 +134,8 @@ def _read(path: Path) -> _Log:
             raise ValueError(
                 f"columns: found {header[:50]!r}, allowed {COLUMNS} (s, N, any unit)"
             )
+        if text.count("\n") < 3:
+            raise ValueError("found no lines, allowed some seconds of them")
         rows = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
         _require_units(rows)
         return _pressed(*rows.T)
@@ -140,10 +143,8 @@ def _read(path: Path) -> _Log:
 
 def _require_units(rows: Array) -> None:
     """Raise ValueError for what is no number, or not in s and N."""
-    if len(rows) < 2 or not np.isfinite(rows).all():
-        raise ValueError(
-            f"found {'NaN' if len(rows) > 1 else 'no lines'}, allowed numbers in each line"
-        )
+    if not np.isfinite(rows).all():
+        raise ValueError("found NaN or an infinity, allowed numbers")
     steps, force = np.diff(rows[:, 0]), rows[:, 1]
     if not (steps.min() > 0 and np.median(steps) <= LONGEST_STEP):
         found = f"found steps of {steps.min():g} s and more, {np.median(steps):g} s in the middle"
@@ -172,7 +173,7 @@ def _pressed(time: Array, force: Array, reading: Array) -> _Log:
     fires = sign * (reading - rest.mean()) > SIGMAS * rest.std()
     cuts = [0, *((ends[:-1] + begins[1:]) // 2), len(time) - 1]
     presses = []
-    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+    for begin, end in pairwise(cuts):
         firing = begin + np.flatnonzero(fires[begin:end])
         if len(firing) and not (fires[begin] or fires[end]):
             events = firing[0], firing[-1] + 1
@@ -198,7 +199,7 @@ def _pressed(time: Array, force: Array, reading: Array) -> _Log:
 
 
 def _line_before(time: Array, force: Array, event: int) -> tuple[float, float]:
-    """Return the force, N, between two lines of a log, and its rate, N/s, by a line through it before."""
+    """Return the force, N, just before a line of a log, and its rate, N/s."""
     moment = (time[event - 1] + time[event]) / 2
     near = (time > moment - WINDOW) & (time < moment)
     near[event - 2 : event] = True

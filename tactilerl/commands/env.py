@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
-from ..envs import scenes, tasks, vector
+from ..envs import scenes, sensors, tasks, vector
 from ..envs.grasp import GraspEnv
 from ..errors import input_errors
 from ..runs.still import note_of_standing_still
@@ -20,12 +21,13 @@ from .scene import layout_notes, read_scene
 
 ABOUT = """\
 Describe an environment: what it is, its actions, observations and taxels. Without flags it also
-lists the named scenes.
+lists the named scenes and the sensors.
 
 examples:
   tactilerl env --scene handover
   tactilerl env --env shadow --layout 4 --describe
-  tactilerl env --env mpl --layout my_layout.toml --check"""
+  tactilerl env --env mpl --layout my_layout.toml --check
+  tactilerl env --fit-sensor log.csv"""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,9 @@ class EnvFlags:
     check: bool = False
     """Play scripted grasps and say which taxels fire while the object is held and which never do. The
     exit code is 1 where a grasp does not hold, or no taxel fires in more than half of the time."""
+    fit_sensor: tuple[Path, ...] = ()
+    """Print the file of a sensor, fitted to logs in which it is pressed and released, one for each
+    specimen of it: CSV with time,force_N,reading."""
     json: bool = False
     """Print JSON instead of text."""
 
@@ -47,6 +52,11 @@ def main(args: list[str]) -> int:
     """Run `tactilerl env --describe`; return 1 where --check finds that touch tells too little."""
     read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
     with input_errors():
+        if read.fit_sensor:
+            from ..fit_sensor import fit  # imports SciPy's statistics
+
+            print(fit(read.fit_sensor), end="")
+            return 0
         with closing(GraspEnv(read.env, scene)) as env:
             content = _content(read.env, env)
             player = vector.Workers([vector.LocalPlayer(env)], env)
@@ -65,6 +75,9 @@ def main(args: list[str]) -> int:
             print("named scenes (--scene NAME):")
             for name in scenes.names():
                 print(f"  {name:18} {scenes.load(name).about}")
+            print("sensors (--sensor NAME):")
+            for name in sensors.names():
+                print(f"  {name:20} {sensors.load(name).about}")
     return int(check is not None and not check.is_useful)
 
 

@@ -2,13 +2,15 @@
 
 import re
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 from tactilerl import envs
-from tactilerl.envs import sensors
-from tactilerl.envs.batch import require_batched
-from tactilerl.envs.grasp import GraspConfig, setup
+from tactilerl.envs import scenes, sensors
+from tactilerl.envs.batch import BatchEnv
+from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.observations import ForceErrors
 
 
@@ -183,7 +185,28 @@ def test_numbers_that_do_nothing_or_contradict_are_refused(choices, said):
         envs.make("shadow", **choices)
 
 
-def test_a_batch_refuses_what_it_does_not_have():
-    config = setup("mpl", simulator="mujoco", taxel_threshold=0.1, taxel_threshold_spread=0.1)
-    with pytest.raises(ValueError, match=r"taxel_threshold_spread: .* only with one environment"):
-        require_batched([config])
+@pytest.mark.parametrize(
+    ("choices", "hand_seeds"),
+    [
+        (dict(touch_rule="force", taxel_noise=0.1, taxel_gain_spread=0.2, taxel_drift=5.0), [1, 2]),
+        (dict(taxel_threshold=0.05, taxel_threshold_spread=0.5), [1, 2]),
+        (dict(sensor="tactile_genesis", touch_rule="force", taxel_saturates=0.004), [None, None]),
+    ],
+)
+def test_a_batch_is_told_what_one_environment_is_told(choices, hand_seeds):
+    scene = scenes.load("handover").on("mpl")
+    first = setup("mpl", **{**scene, "simulator": "mujoco", "layout": "1", **choices})
+    groups = [(replace(first, hand_seed=seed), 1) for seed in hand_seeds]
+    batch = BatchEnv("mpl", groups, "loop", AutoresetMode.DISABLED, numpy=True)
+    singles = [GraspEnv("mpl", config) for config, _ in groups]
+    wait = np.full(1, -0.2)
+    together = [batch.reset(seed=[10, 9])[0]]
+    together += [batch.step(np.array([wait, wait]))[0] for _ in range(24)]
+    for number, env in enumerate(singles):
+        alone = [env.reset(seed=10 - number)[0]] + [env.step(wait)[0] for _ in range(24)]
+        told = [obs["observation"] for obs in alone]
+        assert np.array(told)[:, env.observation_entries("taxels")].any()
+        found = [obs["observation"][number] for obs in together]
+        np.testing.assert_allclose(found, told, atol=1e-5)
+        env.close()
+    batch.close()
