@@ -1,7 +1,7 @@
 """The pages of docs/environments, from the code: facts, spaces, arguments, and what the gate found.
 
 `make docs` makes one page for each named scene and each hand. `python -m benchmarks tables` writes the
-table of all arguments into the overview.
+table of all arguments into the overview, and that of all sensors into its guide.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any
 
 from docstring_parser import parse_from_object
-from tactilerl.envs import hands, scenes
+from tactilerl.envs import hands, scenes, sensors
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.hands import LinearAction
 
@@ -122,6 +122,27 @@ def all_arguments() -> None:
     _table(("argument", "default", "meaning"), rows)
 
 
+def shipped_sensors() -> None:
+    """Print what is known of each sensor of the library."""
+    numbers = {
+        "radius, mm": ("radius", 1e3),
+        "threshold, N": ("threshold", 1),
+        "release, N": ("release", 1),
+        "spread of threshold": ("threshold_spread", 1),
+        "delay, ms": ("delay", 1e3),
+        "dead": ("dead", 1),
+        "saturates, N": ("saturates", 1),
+        "noise, N": ("noise", 1),
+        "spread of gain": ("gain_spread", 1),
+    }
+    rows = []
+    for sensor in map(sensors.load, sensors.names()):
+        known = [(getattr(sensor, field), scale) for field, scale in numbers.values()]
+        cells = ["" if value is None else f"{scale * value:.3g}" for value, scale in known]
+        rows.append((f"`{sensor.name}`", sensor.about, *cells))
+    _table(("name", "sensor", *numbers), rows)
+
+
 def gate(name: str) -> None:
     """Print success rates of scripted hands: in a scene, or with a hand in the handover."""
     gates = data("gates")
@@ -143,7 +164,7 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
     markdown(f"| {' | '.join(head)} |", rows)
 
 
-TABLES = {"all arguments": all_arguments}
+TABLES = {"all arguments": all_arguments, "sensors": shipped_sensors}
 TASKS = {"lift-and-hold": "lift-and-hold", "reach-goal": "reach-a-goal", "handover": "handover"}
 """Where concepts/tasks.md explains each."""
 
