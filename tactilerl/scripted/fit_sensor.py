@@ -17,8 +17,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import bootstrap
 
-from .envs import validation
-from .envs.state import Array
+from ..envs import validation
+from ..envs.state import Array
 
 COLUMNS = "time,force_N,reading"
 FORCES = -1.0, 100.0  # N, of a load cell whose zero is about right
