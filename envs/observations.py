@@ -29,7 +29,7 @@ SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying 
 
 @dataclass(frozen=True)
 class TaxelFaults:
-    """Broken taxels and false readings; by default, none."""
+    """Errors of taxels: faults, and how real ones differ from each other; by default, none."""
 
     taxel_false_on: Fraction = 0.0
     """Probability per step that a taxel that is off reads on."""
