@@ -108,7 +108,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.group_sizes = sizes = tuple(size for _, size in groups)
         """Number of worlds in each group."""
         self.num_envs = n = sum(sizes)
-        # What differs between hands is drawn by their observers, but for thresholds: they are the rule's.
+        # Observers draw what differs between hands, but for thresholds, which are the rule's.
         kinds = [
             config if config.taxel_threshold_spread else replace(config, hand_seed=None)
             for config in configs
