@@ -64,10 +64,14 @@ def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
             corners = mesh_points(model, geom.dataid[0])
             with suppress(QhullError):  # it is flat
                 corners = corners[ConvexHull(corners).vertices]
-        measures = (
-            tuple(values.tolist()) for values in (geom.size, geom.pos, geom.quat)
+        size, place, turn, points = (
+            values.tolist() for values in (geom.size, geom.pos, geom.quat, corners)
         )
-        shapes.append(Geom(kind, *measures, tuple(map(tuple, corners.tolist()))))
+        shapes.append(
+            Geom(
+                kind, tuple(size), tuple(place), tuple(turn), tuple(map(tuple, points))
+            )
+        )
     return tuple(shapes)
 
 

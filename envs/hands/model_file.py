@@ -31,12 +31,15 @@ def read(path: Path) -> mujoco.MjSpec:
 
     Raise ValueError in one line for a file that is wrong.
     """
-    root, _ = parsed(path)
+    root, files = parsed(path)
     is_urdf = root.tag == "robot"
     with reading():
+        text = path.read_text(encoding="utf-8")
         if is_urdf:
             _prepare_urdf(root, path)
-        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+        if is_urdf or len(files) > 1:
+            text = ElementTree.tostring(root, encoding="unicode")
+        spec = mujoco.MjSpec.from_string(text)
     _leave_out_world(spec)
     spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
