@@ -210,7 +210,8 @@ def make(kind: Kind, size: tuple[Any, ...]) -> Shape:
             f"object_size: found {len(size)} numbers, allowed for a {kind}: {allowed}"
         )
     if kind == "capsule":
-        size = (size[0] + (size[1] if len(size) > 1 else size[0] / 2), size[0], size[0])
+        straight = (*size, size[0] / 2)[1]
+        size = (size[0] + straight, size[0], size[0])
     edges = {1: size * 3, 2: (size[0], size[0], size[-1]), 3: size}[len(size)]
     x, y, z = (edge / 2 for edge in edges)
     return Shape(kind, (x, y, z))

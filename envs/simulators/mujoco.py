@@ -282,7 +282,7 @@ class MujocoSimulator(Simulator):
         )
         self._link_of_geom = (model.geom_bodyid - 1).tolist()
         on_hand = (model.geom_bodyid > 0) & (model.geom_bodyid < self._object_body)
-        self._skin = np.flatnonzero(on_hand) if scene.skin else np.zeros(0, int)
+        self._skin = np.flatnonzero(on_hand)
         self._cover()
 
     @property

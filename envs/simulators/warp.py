@@ -160,10 +160,7 @@ class WarpSimulator(BatchSimulator):
             self._indices(which),
         )
         shape = Shape(self.kind, tuple(half_size.T))
-        bound = half_size.max(axis=1)
-        if self.kind in ("box", "cylinder"):
-            across = [0, 2] if self.kind == "cylinder" else [0, 1, 2]
-            bound = np.linalg.norm(half_size[:, across], axis=1)
+        bound = np.linalg.norm(half_size, axis=1)  # or less
         inertia, easy = mass[:, None] * shape.inertia, 1 / mass
         turning = (1 / inertia).mean(1)
         for name, index, value in (
