@@ -512,8 +512,8 @@ class BatchPPO(BatchLearner):
             usable = [(k, len(e)) for k, e in enumerate(self.episodes[i]) if len(e)]
             mine = [values[i, k, : n + 1] for k, n in usable]
             if targets := self.tried(i, "targets", mine):
-                actions = np.concatenate([e.actions for e in self.learners[i].episodes])
-                whole = np.column_stack([actions, *targets]).astype(np.float32)
+                taken = np.concatenate([e.actions for e in self.learners[i].episodes])
+                whole = np.column_stack([taken, *targets]).astype(np.float32)
                 rows = [k * n_rows + np.arange(n) for k, n in usable]
                 columns[i] = torch.from_numpy(whole)
                 places[i] = torch.from_numpy(np.concatenate(rows))
