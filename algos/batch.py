@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import zip_longest
+from itertools import compress, count, zip_longest
 from typing import Any
 
 import numpy as np
@@ -105,7 +105,7 @@ class Networks:
         """Write run `i` into its own network and Adams."""
         places, parts, states = self.singles[i]
         for row, tensors in zip((self.flat, *self.moments), parts, strict=True):
-            values = row[i].cpu()[places].split([part.numel() for part in tensors])
+            values = row[i].cpu()[places].split([part.numel() for part in tensors])  # type: ignore[no-untyped-call]
             for part, value in zip(tensors, values, strict=True):
                 part.copy_(value.view_as(part))
         for state in states:
@@ -235,9 +235,8 @@ class Worlds:
         rewards, lengths = np.zeros((n, steps)), np.zeros(n, np.int64)
         success, terminated, is_free = live & False, live & False, live
         while live.any():
-            chosen = with_noise(
-                act(seen.unflatten(0, self.shape)).flatten(0, 1).cpu().numpy(), lengths
-            )
+            by_run = seen.unflatten(0, self.shape)  # type: ignore[no-untyped-call]
+            chosen = with_noise(act(by_run).flatten(0, 1).cpu().numpy(), lengths)
             actions[is_free, lengths[is_free]] = chosen[is_free]
             on_device = torch.from_numpy(chosen.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
@@ -266,7 +265,7 @@ class Worlds:
             )
             for world in rngs
         }
-        return views.unflatten(0, self.shape), played
+        return views.unflatten(0, self.shape), played  # type: ignore[no-untyped-call]
 
     def _flags(self, info: dict[str, Any], name: str) -> Array:
         flags = torch.as_tensor(info.get(name, False), dtype=torch.bool)
@@ -284,6 +283,9 @@ class BatchLearner:
 
     A run is active until it has its steps, or fails: `failures` says why, by run.
     """
+
+    own: list[Tensor]
+    """Places of a run's own in whole observations."""
 
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each."""
@@ -306,7 +308,7 @@ class BatchLearner:
         self.build()
 
     def build(self) -> None:
-        """Stack the learners' networks; say what places of whole observations are a run's `own`."""
+        """Stack the learners' networks; set `own`."""
         raise NotImplementedError
 
     def look(self) -> None:
@@ -350,7 +352,7 @@ class BatchLearner:
 
     def collect(self) -> Rows:
         """Play the episodes of each active run that it learns from next; return counts and means."""
-        self.on, rows = [*np.flatnonzero(self.active)], Rows()
+        self.on, rows = [*compress(count(), self.active)], Rows()
         for i in self.on:
             self.learners[i].begin()
         keys = {i: self.learners[i].key(rollout.TRAIN) for i in self.on}
@@ -363,13 +365,13 @@ class BatchLearner:
         for i in [*self.on]:
             for episode in self.episodes[i]:
                 episode.obs = episode.obs[:, self.own[i]]  # type: ignore[call-overload]
-            rows[i] = self.tried(i, lambda one, i=i: one.keep(self.episodes[i])) or {}
+            rows[i] = self.tried(i, "keep", self.episodes[i]) or {}
         return rows
 
-    def tried(self, i: int, job: Callable[[Any], Any]) -> Any:
-        """Return what a job with a single learner returns; where it diverges, the run has failed."""
+    def tried(self, i: int, method: str, *args: Any) -> Any:
+        """Return what a single learner's method returns; where it diverges, the run has failed."""
         try:
-            return job(self.learners[i])
+            return getattr(self.learners[i], method)(*args)
         except DivergenceError as error:
             self.failures[i] = str(error)
             self.on.remove(i)
@@ -381,7 +383,7 @@ class BatchLearner:
         weights = [network.flat.sum(dim=1, keepdim=True) for network in networks]
         rows = torch.cat([sums, *weights], dim=1).tolist()
         for i in [*self.on]:
-            self.tried(i, lambda one, i=i: one.require_finite(rows[i]))
+            self.tried(i, "require_finite", rows[i])
         return {i: [x / n_updates[i] for x in rows[i]] for i in self.on}
 
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
@@ -509,19 +511,19 @@ class BatchPPO(BatchLearner):
         for i in [*self.on]:
             usable = [(k, len(e)) for k, e in enumerate(self.episodes[i]) if len(e)]
             mine = [values[i, k, : n + 1] for k, n in usable]
-            if targets := self.tried(i, lambda one, mine=mine: one.targets(mine)):
-                actions = np.concatenate([e.actions for e in self.learners[i].episodes])
-                whole = np.column_stack([actions, *targets]).astype(np.float32)
+            if targets := self.tried(i, "targets", mine):
+                taken = np.concatenate([e.actions for e in self.learners[i].episodes])
+                whole = np.column_stack([taken, *targets]).astype(np.float32)
                 rows = [k * n_rows + np.arange(n) for k, n in usable]
                 columns[i] = torch.from_numpy(whole)
                 places[i] = torch.from_numpy(np.concatenate(rows))
         padded = (
             pad_sequence(x, batch_first=True).to(self.device) for x in (places, columns)
         )
-        where, whole = padded
-        obs, actions = inputs[self.e, where], whole[..., : self.n_actions]
-        log_prob = self._policy(obs).log_prob(actions).sum(dim=-1)
-        return [obs, actions, log_prob, whole[..., -3], whole[..., -2]], columns
+        where, parts = padded
+        obs, actions = inputs[self.e, where], parts[..., : self.n_actions]
+        log_prob = self._policy(obs).log_prob(actions).sum(dim=-1)  # type: ignore[no-untyped-call]
+        return [obs, actions, log_prob, parts[..., -3], parts[..., -2]], columns
 
     def _keep_or_undo(self, verdicts: Mapping[int, str]) -> Tensor:
         """Keep actors, or go back to those kept, as the single learner does; return which learn."""
@@ -558,7 +560,7 @@ class BatchPPO(BatchLearner):
         obs, actions, log_prob, advantages, returns = (
             part[self.e, rows.clamp(min=0)] for part in batch
         )
-        log_ratio = self._policy(obs).log_prob(actions).sum(dim=-1) - log_prob
+        log_ratio = self._policy(obs).log_prob(actions).sum(dim=-1) - log_prob  # type: ignore[no-untyped-call]
         result = surrogate(log_ratio, advantages, self.hyper["clip_range"])
         errors = (self.critic(obs)[..., 0] - returns).square()
         parts = [result.loss, result.kl, result.is_clipped, errors]
@@ -690,7 +692,7 @@ class BatchDDPGHER(BatchLearner):
         return rows
 
     def test(self, asked: Sequence[bool]) -> Rows:
-        keys = {i: self.learners[i].key(rollout.TEST) for i in np.flatnonzero(asked)}
+        keys = {i: self.learners[i].key(rollout.TEST) for i in compress(count(), asked)}
         n = self.config.n_test_rollouts * self.config.n_rollouts
         rows = self.play_best(keys, n) if n else {}
         return {i: tested(row) for i, row in rows.items()}
@@ -797,7 +799,7 @@ class BatchDDPGHER(BatchLearner):
             next_obs=self._inputs(following[..., : self.width], one.goal),
             terminal=one.terminal,
         )
-        parts = (part.split(self.config.batch_size, dim=1) for part in batch)
+        parts = (part.split(self.config.batch_size, dim=1) for part in batch)  # type: ignore[no-untyped-call]
         return (Batch(*minibatch) for minibatch in zip(*parts, strict=True))
 
 

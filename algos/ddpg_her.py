@@ -154,7 +154,7 @@ def td_targets(
     next_values: Tensor,
     terminal: Tensor,
     gamma: Any,
-    span: tuple[Any, Any] | None,
+    span: Sequence[Any] | None,
 ) -> Tensor:
     """Return the critic's targets (n,): r + gamma Q'(next), from arguments (n,).
 
@@ -206,10 +206,11 @@ class Exploration:
     def __init__(
         self,
         rng: np.random.Generator,
-        noise_eps: float,
-        random_eps: float,
-        random_hold: float = 1.0,
+        noise_eps: Any,
+        random_eps: Any,
+        random_hold: Any = 1.0,
     ) -> None:
+        """Take numbers, or columns (n, 1) with one for each row of actions."""
         self.rng, self.noise_eps, self.random_eps = rng, noise_eps, random_eps
         self.random_hold = random_hold
         # Probability that a random action begins after another one: where holds last h steps on
@@ -493,7 +494,7 @@ class DDPGHER(Learner):
         errors = q_values(self.critic, batch.obs, batch.action) - targets
         loss = errors.square().mean()
         self.critic_adam.zero_grad()
-        loss.backward(inputs=self.critic_parameters)
+        loss.backward(inputs=self.critic_parameters)  # type: ignore[no-untyped-call]
         return loss.detach()
 
     def _actor_gradient(self, inputs: Tensor) -> Tensor:
@@ -503,7 +504,8 @@ class DDPGHER(Learner):
         """
         loss, mean_q = actor_loss(self.actor, self.critic, inputs, self.action_l2)
         self.actor_adam.zero_grad()
-        loss.backward(inputs=self.actor_parameters)  # and not the critic's
+        # And not the critic's.
+        loss.backward(inputs=self.actor_parameters)  # type: ignore[no-untyped-call]
         return torch.stack([loss, mean_q]).detach()
 
     @torch.no_grad()
@@ -569,14 +571,14 @@ class DDPGHER(Learner):
 
     @staticmethod
     def as_policy(config: DDPGHERConfig, spaces: Spaces, *parts: Any) -> Policy:
-        actor, *stats = parts
+        actor, obs_stats, goal_stats = parts
         explore = partial(
             Exploration,
             noise_eps=config.noise_eps,
             random_eps=config.random_eps,
             random_hold=config.random_hold,
         )
-        scalings = (each.scaling() for each in stats)
+        scalings = obs_stats.scaling(), goal_stats.scaling()
         inputs = GoalInputs(*scalings, config.clip_obs)
         return Policy(on_cpu(actor), inputs, explore, spaces)
 
