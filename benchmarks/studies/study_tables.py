@@ -27,7 +27,7 @@ from tactilerl.study.records import Record
 from benchmarks.command import DATA, data, interval, markdown
 
 EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
-DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")
+DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?(?:anywhere|touch)_(.+)\.toml")
 COLOURS = dict(zip(("on", "off"), style.GROUPS, strict=False))
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
