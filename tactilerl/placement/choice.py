@@ -106,7 +106,7 @@ class Design:
     """Rows for each sensor and threshold after the other."""
     uses: list[Use]
     """Uses of touch for each of these. The fields before `rows` are of the first."""
-    against: dict[str, statistics.Estimate] = field(default_factory=dict)
+    against: dict[str | None, statistics.Estimate] = field(default_factory=dict)
     """Success of each other sensor's best set less that of the first's, in the same starts."""
 
     def sentences(self) -> list[str]:
@@ -270,14 +270,16 @@ def _judged(use: Use, pool: Pool, choice: ByWait, test: ByWait) -> Design:
     rows = [_without(use, len(judge))]
     rows += [judge.row(name, columns) for name, columns in references.items()]
     rows.append(judge.row("whole skin", pool.columns))
-    chosen, picks = {}, _picks(choice, pool)
+    picks = _picks(choice, pool)
+    chosen: dict[float, list[int]] = {}
     at = knee(
         [0.0, *(pick.n if pick.price is None else pick.price for pick in picks)],
         [use.blind, *(pick.chosen.value for pick in picks)],
     )
     for index, pick in enumerate(picks, 1):
         columns = [pool.columns[i] for i in pick.chosen.taxels]
-        chosen[pick.n if pool.flags.budget is None else pick.price] = columns
+        key = pick.n if pool.flags.budget is None else pick.price
+        chosen[key or 0.0] = columns
         row = replace(
             judge.row("chosen", columns),
             taxels=pick.n,
