@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -341,7 +341,7 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
 
 
 def joined(
-    sets: Sequence[Taxels], delays: Sequence[float] | None = None
+    sets: Sequence[Taxels], delays: Sequence[float]
 ) -> tuple[Taxels, Array, list[list[int]]]:
     """Return the taxels of all sets, each place, threshold and delay once, in the order of places.
 
@@ -352,7 +352,7 @@ def joined(
     surfaces = np.concatenate([taxels.surfaces for taxels in sets])
     offsets = np.concatenate([taxels.offsets for taxels in sets])
     every = Taxels(tuple(points), surfaces, offsets)
-    late = np.repeat(np.zeros(len(sets)) if delays is None else delays, sizes)
+    late = np.repeat(delays, sizes)
     keys = np.column_stack([places.of(every), every.thresholds, late])
     _, firsts, columns = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     parts = np.split(columns.reshape(-1), np.cumsum(sizes)[:-1])
@@ -446,8 +446,8 @@ class Pool:
         """Return what taxels cost; ValueError for a budget without, or a taxel that no board serves."""
         boards, cost = self.flags.boards, self.sensor.cost
         if cost is None:
-            for flag, value in (("budget", self.flags.budget), ("boards", boards)):
-                if value:
+            for flag in ("budget", "boards"):
+                if value := getattr(self.flags, flag):
                     raise ValueError(
                         f"{flag}: found {value}, allowed with a --sensor that has a [cost]"
                     )
@@ -486,11 +486,8 @@ class Pool:
             return [(n, 0) for n in flags.numbers]
         return self.prices.sizes(self.free, flags.numbers, flags.budget)
 
-    def room(self, boards: int) -> cover.Fits:
-        """Return a function that tells which others of its columns fit beside some of them."""
-        return partial(self._fits, boards)
-
-    def _fits(self, boards: int, taxels: Sequence[int]) -> Array:
+    def fits(self, boards: int, taxels: Sequence[int]) -> Array:
+        """Tell which others of its columns find room beside some of them, and on 0 (any) boards."""
         is_free = cover.others(len(self.columns), taxels)
         if self.overlap is not None:
             is_free &= ~self.overlap[list(taxels)].any(axis=0)

@@ -106,7 +106,7 @@ class Design:
     """Rows for each sensor and threshold after the other."""
     uses: list[Use]
     """Uses of touch for each of these. The fields before `rows` are of the first."""
-    against: dict[str, statistics.Estimate] = field(default_factory=dict)
+    against: dict[str | None, statistics.Estimate] = field(default_factory=dict)
     """Success of each other sensor's best set less that of the first's, in the same starts."""
 
     def sentences(self) -> list[str]:
@@ -116,19 +116,21 @@ class Design:
             chosen = [row for row in use.rows(self.rows) if row.layout == "chosen"]
             paying = [row for row in chosen if gate.pays(row.success, use.blind)]
             row = paying[0] if paying else max(chosen, key=lambda row: row.success)
+            taxels = _taxels(row.taxels, row.price)
             verdict = f"Touch {'pays' if paying else 'does not pay'}{use.at}"
             if paying and len(chosen) > 1:
-                verdict += f" from {_taxels(row)} on"
+                verdict += f" from {taxels} on"
             said.append(
-                f"{verdict}: with {_taxels(row)} chosen the hand succeeds in {row.success:.2f} of the "
+                f"{verdict}: with {taxels} chosen the hand succeeds in {row.success:.2f} of the "
                 f"starts, the best one without touch ({use.blind_hand}, as the gate finds it) in "
                 f"{use.blind:.2f}."
             )
+            most = chosen[-1]
             for row in chosen:
                 if row.is_knee:
                     said.append(
-                        f"The knee is at {_taxels(row)}: {row.success:.2f}; the most, "
-                        f"{_taxels(chosen[-1])}, reach {chosen[-1].success:.2f}."
+                        f"The knee is at {_taxels(row.taxels, row.price)}: {row.success:.2f}; "
+                        f"{_taxels(most.taxels, most.price)} reach {most.success:.2f}."
                     )
         for sensor, difference in self.against.items():
             said.append(
@@ -142,9 +144,7 @@ class Design:
         pool, columns = self.pool, self.chosen[key]
         n = len(columns) - len(pool.existing)
         scenes = ", ".join(pool.scenes)
-        about = (
-            f"{n} {'taxel' if n == 1 else 'taxels'} placed by tactilerl for {scenes}"
-        )
+        about = f"{_taxels(n)} placed by tactilerl for {scenes}"
         return layouts.of_taxels(pool.skin.take(columns), pool.hand, about)
 
     def as_dict(self) -> dict[str, Any]:
@@ -170,10 +170,10 @@ class Design:
         }
 
 
-def _taxels(row: Row) -> str:
-    """Return how many taxels a row has, and what they cost."""
-    taxels = f"{row.taxels} {'taxel' if row.taxels == 1 else 'taxels'}"
-    return taxels if row.price is None else f"{taxels} for {row.price:g}"
+def _taxels(n: int, price: float | None = None) -> str:
+    """Return how many taxels, and what they cost."""
+    cost = "" if price is None else f" for {price:g}"
+    return f"{n} {'taxel' if n == 1 else 'taxels'}{cost}"
 
 
 def design(flags: DesignFlags, workers: int, tick: Tick = lambda *_: None) -> Design:
@@ -270,14 +270,16 @@ def _judged(use: Use, pool: Pool, choice: ByWait, test: ByWait) -> Design:
     rows = [_without(use, len(judge))]
     rows += [judge.row(name, columns) for name, columns in references.items()]
     rows.append(judge.row("whole skin", pool.columns))
-    chosen, picks = {}, _picks(choice, pool)
+    picks = _picks(choice, pool)
+    chosen: dict[float, list[int]] = {}
     at = knee(
         [0.0, *(pick.n if pick.price is None else pick.price for pick in picks)],
         [use.blind, *(pick.chosen.value for pick in picks)],
     )
     for index, pick in enumerate(picks, 1):
         columns = [pool.columns[i] for i in pick.chosen.taxels]
-        chosen[pick.n if pool.flags.budget is None else pick.price] = columns
+        key = pick.n if pool.flags.budget is None else pick.price
+        chosen[key or 0.0] = columns
         row = replace(
             judge.row("chosen", columns),
             taxels=pick.n,
@@ -321,7 +323,12 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
         sets = []
         for starts in choice.values():
             starts = replace(starts, fires=starts.fires[:, pool.columns])
-            asked = n + n_existing, list(range(n_existing)), pool.room(boards), losses
+            asked = (
+                n + n_existing,
+                list(range(n_existing)),
+                partial(pool.fits, boards),
+                losses,
+            )
             sets.append(cover.choose(starts, *asked))
         chosen = max(sets, key=lambda chosen: chosen[1:])
         placed = [pool.columns[i] for i in chosen.taxels[n_existing:]]
@@ -403,7 +410,7 @@ class Judge:
 
     def random(self, pick: Pick) -> Row:
         """Return means over random sets of as many taxels, or as many as find room."""
-        n, fits = pick.n, self._pool.room(pick.boards)
+        n, fits = pick.n, partial(self._pool.fits, pick.boards)
         rng = np.random.default_rng([self._pool.flags.seed, n])
         sets = [drawn(n, self._pool, fits, rng) for _ in range(RANDOM_SETS)]
         rows = [self.row("random", taxels) for taxels in sets]

@@ -185,10 +185,8 @@ def packed(k: int, existing: Sequence[int], fits: Fits) -> list[int]:
     """Return `k` taxels, or as many as find room, each of which leaves as much for others as it can."""
     chosen = list(existing)
     while len(chosen) < k and (is_free := fits(chosen)).any():
-        left = {
-            taxel: fits([*chosen, taxel]).sum() for taxel in np.flatnonzero(is_free)
-        }
-        chosen.append(int(max(left, key=left.__getitem__)))
+        free = np.flatnonzero(is_free).tolist()
+        chosen.append(max(free, key=lambda taxel: fits([*chosen, taxel]).sum()))
     return chosen
 
 

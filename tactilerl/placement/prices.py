@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -20,8 +19,9 @@ class Prices:
     groups: Array
     """(m,) int: each taxel's group. A board serves one group only."""
 
-    @cached_property
+    @property
     def _channels(self) -> int:
+        """Number of taxels that a board reads."""
         return self.cost.channels or len(self.groups)
 
     def _boards(self, taxels: Sequence[int], more: int = 0) -> Array:
