@@ -142,10 +142,12 @@ HELD = {"full": dict(hold_seconds=2.0), "settled": dict(hold_verdict="settled")}
         ("mpl", dict(object_size=0.04, **HELD["full"]), grasp, 1000.0),
         ("mpl", dict(object_size=0.04, **HELD["settled"], taxel_threshold=0.1), grasp, 1000.0),
         ("mpl", dict(object="cylinder", touch_rule="force", **SHORT), grasp, -100.0),
+        ("mpl", dict(object="capsule", skin_thickness=0.003, **SHORT), grasp, -100.0),
+        ("mpl", dict(object="ellipsoid", friction="0.5..1", **SHORT), grasp, -100.0),
         ("shadow", dict(object="sphere", sight_noise_kind="held", **SHORT, **NOISY), swing, -100.0),
         ("shadow", dict(task="reach-goal", reward="dense", object_seen="start"), swing, None),
     ],
-    ids=["full hold", "settled hold", "force", "late", "goals"],
+    ids=["full hold", "settled hold", "force", "soft", "ellipsoid", "late", "goals"],
 )  # fmt: skip
 def test_tasks_of_the_paper(hand: str, choices: Any, actions: Any, returns: float | None) -> None:
     env: Any = envs.make(hand, simulator="mujoco", **choices)
