@@ -414,7 +414,7 @@ class BatchPPO(BatchLearner):
         place = self.own, self.size, self.device
         critics = [(one.critic, (), (one.critic_adam,)) for one in self.learners]
         self.critic = Networks(critics, *place)
-        acting = [{n: getattr(one, n) for n in one.acting} for one in self.learners]
+        acting = [{n: getattr(one, n) for n in one.undoable} for one in self.learners]
         self.kept = copy.deepcopy(acting)
         each = enumerate(self.learners)
         self.has_before = {i for i, one in each if one.before_update}

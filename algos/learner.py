@@ -243,7 +243,8 @@ class RewardScale(Counts):
         """Raise a running scale to this, where it is larger; return the factor for critics' outputs."""
         if not self.is_running or scale <= self.scale:
             return 1.0
-        factor, self.scale = self.scale / scale or 1.0, scale
+        factor = (self.scale / scale) or 1.0  # a new critic stays as it is
+        self.scale = scale
         return factor
 
 

@@ -104,7 +104,7 @@ class PPOConfig(LearnerConfig):
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100.
     """
     anneal_lr: bool = False
-    """Decay both learning rates to zero, linearly over the run (in the paper's code, not its text)."""
+    """Decay all learning rates to zero, linearly over the run (in the paper's code, not its text)."""
     target_kl: Positive32 | None = None
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the paper's
     code, not in its text)."""
@@ -203,8 +203,7 @@ class Surrogate(NamedTuple):
 
     loss: Tensor
     kl: Tensor
-    """Estimate of the KL divergence from the old policy, ratio - 1 - log(ratio): Schulman's k3,
-    which is unbiased and never negative."""
+    """Estimate of the KL divergence from the old policy, ratio - 1 - log(ratio): Schulman's k3."""
     is_clipped: Tensor
     """True where the ratio is outside the clip range."""
 
@@ -254,11 +253,14 @@ class Silence(Counts):
     def judge(self, returns: Sequence[float]) -> Verdict:
         """Return what an epoch's returns say: learn from it, or not, or undo the last update, too."""
         lowest, highest, n = min(returns), max(returns), len(returns)
-        if lowest == highest == self.failure or highest < self.failure:
+        is_alike = lowest == highest
+        if (is_alike and lowest == self.failure) or highest < self.failure:
             return self._judge_failures(n)
-        if lowest == highest and self.failure == -math.inf:
+        if is_alike and self.failure == -math.inf:
             return "learn"  # nobody knows yet what a failure is
-        if lowest < highest and lowest != self.failure:
+        if not is_alike and lowest != self.failure:
+            # Another return is a failure now, so counts begin anew. Where rewards are dense, that is
+            # in nearly every epoch, and nothing is ever undone.
             self.failure, self.failed, self.others, self.failed_since = lowest, 0, 0, 0
         failed = returns.count(self.failure)
         self.failed = self.KEEP * self.failed + self.failed_since + failed
@@ -293,15 +295,11 @@ class PPO(Learner):
     """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    acting = ("actor", "gaussian", "actor_adam", "std_adam")
-    saved = (
-        *(*policy_parts, "critic", "actor_adam", "std_adam", "critic_adam"),
-        *("silence", "rewards"),
-    )
-    plain = (
-        *("env_steps", "epochs", "before_update"),
-        *("first_values", "lowest_return", "highest_return"),
-    )
+    undoable = ("actor", "gaussian", "actor_adam", "std_adam")
+    trained = ("critic", "actor_adam", "std_adam", "critic_adam")
+    saved = (*policy_parts, *trained, "silence", "rewards")
+    bounds = ("first_values", "lowest_return", "highest_return")
+    plain = ("env_steps", "epochs", "before_update", *bounds)
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
@@ -325,7 +323,7 @@ class PPO(Learner):
         self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
         self.epochs, self.episodes = 0, list[Episode]()
         self.silence = Silence()
-        self.before_update: dict[str, Any] = {}  # states of `acting`
+        self.before_update: dict[str, Any] = {}  # states of `undoable`
         self.rewards = RewardScale(config.normalize_rewards)
         self.lowest_return = self.highest_return = 0.0  # of all episodes, 0 included
         self.first_values = 0.0  # how far those of the new critic reach
@@ -356,7 +354,7 @@ class PPO(Learner):
         return self.seed, 0, purpose, self.epochs
 
     def begin(self) -> None:
-        """Begin an epoch: set what falls over a run."""
+        """Begin an epoch: anneal learning rates."""
         if self.config.anneal_lr:
             self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
 
@@ -367,7 +365,9 @@ class PPO(Learner):
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Keep the epoch's episodes to learn from; return counts and means."""
         self.episodes = require_transitions(episodes)
-        self.epochs += 1
+        self.epochs += (
+            1  # so an epoch learns with the key after the one that it was played with
+        )
         stats = summary(episodes)
         self.env_steps += int(stats.pop("steps"))
         return stats
@@ -377,37 +377,43 @@ class PPO(Learner):
     def update(self) -> dict[str, float]:
         """Take `n_passes` over the batch in shuffled minibatches.
 
-        Actor and critic share nothing that is learned: each has its own loop, and its own thread
-        where there are two cores. In a silent epoch, only the critic is updated.
+        Actor and critic share nothing that is learned: in each pass, each has its own loop, and its own
+        thread where there are two cores. They meet after it, where `target_kl` may end the passes. In a
+        silent epoch, only the critic is updated.
         """
         config, batch = self.config, self._batch()
-        verdict = self.judge()
+        verdict = (
+            self.judge()
+        )  # after the batch, whose log_prob is of the actor that played
+        learns = verdict == "learn"
         self._keep_or_undo(verdict)
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
             for minibatches in self.shuffled(len(batch.obs)):
-                for_actor = minibatches if verdict == "learn" else ()
+                for_actor = minibatches if learns else ()
                 of_actor, of_critic = self.in_two_threads(
                     partial(self._update_actor, batch, for_actor),
                     partial(self._update_critic, batch, minibatches),
                 )
                 actor_losses += of_actor
                 value_losses += of_critic
-                if config.target_kl is None or not of_actor:
-                    continue
-                if of_actor[-1].kl.item() > config.target_kl:
+                if (
+                    learns
+                    and config.target_kl
+                    and of_actor[-1].kl.item() > config.target_kl
+                ):
                     break
         actor_losses = actor_losses or [ActorLoss(*torch.zeros(3))]  # in a silent epoch
         losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
-        learned = {
+        figures = {
             "policy_loss": losses.policy_loss.mean().item(),
             "value_loss": torch.stack(value_losses).mean().item(),
             "kl": losses.kl.mean().item(),
             "clip_fraction": losses.clip_fraction.mean().item(),
         }
-        self.require_finite([*learned.values()], self.actor, self.gaussian, self.critic)
+        self.require_finite([*figures.values()], self.actor, self.gaussian, self.critic)
         explained = explained_variance(batch.values, batch.returns)
-        return learned | self.after_update(explained, verdict, len(value_losses))
+        return figures | self.after_update(explained, verdict, len(value_losses))
 
     def judge(self) -> Verdict:
         """Return what the epoch's returns say of the last update."""
@@ -480,11 +486,11 @@ class PPO(Learner):
 
     def _keep_or_undo(self, verdict: Verdict) -> None:
         """Keep the actor before an update that may have to be undone, or go back to the one kept."""
-        acting = {name: getattr(self, name) for name in self.acting}
+        parts = {name: getattr(self, name) for name in self.undoable}
         if verdict == "undo":
-            restore(acting, self.before_update)
+            restore(parts, self.before_update)
         elif verdict == "learn" and self.silence.can_undo:
-            states = {name: part.state_dict() for name, part in acting.items()}
+            states = {name: part.state_dict() for name, part in parts.items()}
             self.before_update = copy.deepcopy(states)
 
     @torch.no_grad()
@@ -519,11 +525,11 @@ class PPO(Learner):
         `values` are the critic's of each episode's observations, (length + 1,).
         """
         config, advantages = self.config, list[Array]()
-        learned = np.concatenate([each[:-1] for each in values])
-        self._warn_of_divergence(learned * self.rewards.unit)
+        predicted = np.concatenate([each[:-1] for each in values])
+        self._warn_of_divergence(predicted * self.rewards.unit)
         # No value of a last observation is ever learned. Where it is like no other, as with time in
         # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
-        lowest, highest = learned.min(), learned.max()
+        lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
             goes_on = self._goes_on(episode)
             last_value = np.clip(each[-1], lowest, highest) if goes_on else 0.0
@@ -532,7 +538,8 @@ class PPO(Learner):
                 gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
             )
         advantage = np.concatenate(advantages)
-        return normalize(advantage), finite(advantage + learned, "a return"), learned
+        returns = finite(advantage + predicted, "a return")
+        return normalize(advantage), returns, predicted
 
     def _warn_of_divergence(self, values: Array) -> None:
         """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
@@ -564,7 +571,7 @@ class PPO(Learner):
             )
 
     def _goes_on(self, episode: Episode) -> bool:
-        """Return whether more would have followed, as where the physics diverged."""
+        """Return whether more would have followed: always where the physics diverged."""
         is_cut_off = self.config.truncation == "bootstrap" and not episode.terminated
         return bool(episode.faults["diverged"]) or is_cut_off
 
