@@ -75,7 +75,7 @@ class Replay:
         self.reward, self.rng, self.ends = reward, rng, ends
         self.n_episodes = 0
         self._columns: dict[str, Array] = {}  # (slot, step, size)
-        self._lengths = np.zeros(self.n_slots, np.int64)
+        self._lengths = np.zeros(0, np.int64)  # of the episode in each slot
         # Slots, in the order in which they were filled.
         self._unsaved: dict[int, None] = {}
 
@@ -145,6 +145,7 @@ class Replay:
         if not self._columns:
             # Zeros take memory page by page, when they are written to.
             shape = self.n_slots, self.max_steps + 1
+            self._lengths = np.zeros(self.n_slots, np.int64)
             self._columns = {
                 name: np.zeros((*shape, size), np.float32)
                 for name, size in self.sizes.items()

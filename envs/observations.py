@@ -479,7 +479,7 @@ class Observer:
         )
         self.senses: list[Any] = [Sight(config, first), *joints]
         """What changes a state on its way to the policy."""
-        stages = [make(config, len(taxel_names), control_dt) for make in STAGES]
+        stages = [make(config, len(taxel_names)) for make in STAGES]
         self.stages = [*filter(None, stages), Past(config.history)]
         """What the taxels' readings pass."""
         self.past = Past(config.history)
@@ -541,28 +541,28 @@ class Observer:
         return taxels
 
 
-STAGES: list[Callable[[SensorConfig, int, float], Stage | None]] = [
-    lambda config, n, dt: (
-        ForceErrors(config, n, dt)
+STAGES: list[Callable[[Any, int], Stage | None]] = [
+    lambda config, n: (
+        ForceErrors(config, n, config.control_dt)
         if config.taxel_saturates
         or config.taxel_noise
         or config.taxel_gain_spread
         or config.taxel_drift
         else None
     ),
-    lambda config, n, _: (
+    lambda config, n: (
         FalseReadings(config.taxel_false_on, config.taxel_false_off)
         if config.taxel_false_on or config.taxel_false_off
         else None
     ),
-    lambda config, n, _: (
+    lambda config, n: (
         Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
         if config.taxel_dead or config.taxel_stuck
         else None
     ),
-    lambda config, n, _: Delay(config.taxel_delay) if config.taxel_delay else None,
+    lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
 ]
 """Makers of the stages that the readings (n,) of taxels pass, one after another, each None where it
 would change nothing: forces have errors, bits flip at random, a broken sensor says the same whatever
-it feels, and all of it is late. They take the configuration, n, and the time of a control step, s.
+it feels, and all of it is late. They take the scene's configuration (`grasp.GraspConfig`) and n.
 """

@@ -146,7 +146,7 @@ def test_distance_to_a_shape_is_that_to_the_nearest_of_many_points_inside(solid)
 
 def mujocos_distance(shape, point):
     """What MuJoCo says that a point is away from a shape, by halving an interval."""
-    speck = Geom("sphere", (1e-9, 0, 0), tuple(point), tuple(map(tuple, np.eye(3))), ())
+    speck = Geom("sphere", (1e-9, 0, 0), tuple(point), (1.0, 0.0, 0.0, 0.0), ())
     distances, (low, high) = Distances([speck]), (0.0, 0.2)
     for _ in range(30):
         middle = (low + high) / 2
