@@ -14,7 +14,7 @@ import copy
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import compress, count, zip_longest
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -37,12 +37,13 @@ from .networks import MLP, layer_shapes
 from .normalizer import Normalizer, Scaling
 from .ppo import PPO, ActorLoss, explained_variance, surrogate
 from .replay import Batch, Relabelled
-from .rollout import Episode, summary
+from .rollout import Episode, finite, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
 LOSSES = ("critic_loss", "actor_loss", "mean_q")  # of DDPG
 Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
+T = TypeVar("T")
 Key = tuple[int, int, int, int]
 Rows = dict[int, dict[str, float]]  # of the progress table, by run
 Explore = Callable[[Array, Array], Array]
@@ -131,6 +132,7 @@ class Networks:
     def step(self, gradient: Tensor, lr: Tensor, on: Tensor) -> None:
         """Take an Adam step of the runs where `on` (E, 1) is 1; `lr` is (E, 1) or (E, parameters)."""
         mean, square = self.moments
+        gradient = torch.where(on == 1, gradient, 0.0)  # 0 * inf is NaN
         self.n_steps += on
         mean.lerp_(gradient, on * (1 - BETAS[0]))
         square.lerp_(gradient.square(), on * (1 - BETAS[1]))
@@ -200,7 +202,7 @@ class Worlds:
         """
         episodes = {i: list[Episode]() for i in keys}
         waves, wanted = list[Tensor](), dict(keys)
-        while wanted and len(waves) < rollout.MAX_FAILURES:
+        while wanted:
             obs, played = self._wave(wanted, len(waves) * self.shape[1], act, explore)
             waves.append(obs)
             for world, episode in played.items():
@@ -237,6 +239,7 @@ class Worlds:
         while live.any():
             by_run = seen.unflatten(0, self.shape)  # type: ignore[no-untyped-call]
             chosen = with_noise(act(by_run).flatten(0, 1).cpu().numpy(), lengths)
+            chosen = np.where(np.isnan(chosen), 0.0, chosen)  # of runs that fail
             actions[is_free, lengths[is_free]] = chosen[is_free]
             on_device = torch.from_numpy(chosen.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
@@ -356,25 +359,38 @@ class BatchLearner:
         for i in self.on:
             self.learners[i].begin()
         keys = {i: self.learners[i].key(rollout.TRAIN) for i in self.on}
-        self.obs, self.episodes = self.worlds.play(
+        self.obs, self.episodes = self.play(
             keys,
-            lambda i, played: self.learners[i].wants_more(played),
-            self.act,
+            lambda i, played: bool(self.tried(i, self.learners[i].wants_more, played)),
             self.explore,
         )
-        for i in [*self.on]:
+        for i in self.on:
             for episode in self.episodes[i]:
                 episode.obs = episode.obs[:, self.own[i]]  # type: ignore[call-overload]
-            rows[i] = self.tried(i, "keep", self.episodes[i]) or {}
+            if row := self.tried(i, self.learners[i].keep, self.episodes[i]):
+                rows[i] = row
         return rows
 
-    def tried(self, i: int, method: str, *args: Any) -> Any:
-        """Return what a single learner's method returns; where it diverges, the run has failed."""
+    def play(
+        self,
+        keys: Mapping[int, Key],
+        wants_more: Callable[[int, list[Episode]], bool],
+        explore: Callable[[Rngs], Explore],
+    ) -> tuple[Tensor, dict[int, list[Episode]]]:
+        """Return what `Worlds.play` returns; runs with values that are not finite have failed."""
+        obs, episodes = self.worlds.play(keys, wants_more, self.act, explore)
+        for i, mine in episodes.items():
+            self.tried(i, _require_finite, mine)
+        return obs, episodes
+
+    def tried(self, i: int, function: Callable[..., T], *args: Any) -> T | None:
+        """Return what a function returns; where it raises DivergenceError, run `i` has failed."""
         try:
-            return getattr(self.learners[i], method)(*args)
+            return function(*args)
         except DivergenceError as error:
-            self.failures[i] = str(error)
-            self.on.remove(i)
+            self.failures.setdefault(i, str(error))
+            self.on = [j for j in self.on if j != i]
+            return None
 
     def means(
         self, sums: Tensor, n_updates: Mapping[int, int], *networks: Networks
@@ -382,19 +398,21 @@ class BatchLearner:
         """Return means of sums (E, k) by run; one with losses or parameters not finite fails."""
         weights = [network.flat.sum(dim=1, keepdim=True) for network in networks]
         rows = torch.cat([sums, *weights], dim=1).tolist()
-        for i in [*self.on]:
-            self.tried(i, "require_finite", rows[i])
+        for i in self.on:
+            self.tried(i, self.learners[i].require_finite, rows[i])
         return {i: [x / n_updates[i] for x in rows[i]] for i in self.on}
 
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
-        _, episodes = self.worlds.play(
+        if not keys:
+            return {}
+        _, episodes = self.play(
             keys,
             lambda _, played: len(played) < n,
-            self.act,
             lambda rngs: lambda actions, steps: actions,
         )
-        return {i: summary(mine) for i, mine in episodes.items()}
+        passed = episodes.keys() - self.failures
+        return {i: summary(episodes[i]) for i in sorted(passed)}
 
     def test(self, asked: Sequence[bool]) -> Rows:
         """Return how good the runs that are asked for (E,) are without exploration; may be empty."""
@@ -403,6 +421,13 @@ class BatchLearner:
     def write(self, i: int) -> None:
         """Write the state of run `i` into its single learner."""
         raise NotImplementedError
+
+
+def _require_finite(episodes: Sequence[Episode]) -> None:
+    """Raise DivergenceError where observations or rewards are not finite, as a single run does."""
+    for episode in episodes:
+        finite(episode.obs, "an observation of the environment")
+        finite(episode.rewards, "the reward of the environment")
 
 
 class BatchPPO(BatchLearner):
@@ -508,10 +533,10 @@ class BatchPPO(BatchLearner):
         n_rows = values.shape[2]
         places = [torch.zeros(0, dtype=torch.long)] * len(self.learners)
         columns = [torch.zeros(0, self.n_actions + 3)] * len(self.learners)
-        for i in [*self.on]:
+        for i in self.on:
             usable = [(k, len(e)) for k, e in enumerate(self.episodes[i]) if len(e)]
             mine = [values[i, k, : n + 1] for k, n in usable]
-            if targets := self.tried(i, "targets", mine):
+            if targets := self.tried(i, self.learners[i].targets, mine):
                 taken = np.concatenate([e.actions for e in self.learners[i].episodes])
                 whole = np.column_stack([taken, *targets]).astype(np.float32)
                 rows = [k * n_rows + np.arange(n) for k, n in usable]
@@ -692,7 +717,8 @@ class BatchDDPGHER(BatchLearner):
         return rows
 
     def test(self, asked: Sequence[bool]) -> Rows:
-        keys = {i: self.learners[i].key(rollout.TEST) for i in compress(count(), asked)}
+        runs = [i for i in compress(count(), asked) if i not in self.failures]
+        keys = {i: self.learners[i].key(rollout.TEST) for i in runs}
         n = self.config.n_test_rollouts * self.config.n_rollouts
         rows = self.play_best(keys, n) if n else {}
         return {i: tested(row) for i, row in rows.items()}

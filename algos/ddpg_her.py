@@ -50,6 +50,7 @@ from .rollout import (
     Episode,
     PlayEpisode,
     largest_return,
+    require_progress,
     require_transitions,
     summary,
 )
@@ -170,12 +171,11 @@ def td_targets(
 def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
     """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
 
-    DivergenceError when `rollout.MAX_FAILURES` more have none.
+    DivergenceError when `rollout.MAX_FAILURES` in a row have none.
     """
     episodes: list[Episode] = []
     while missing := n - sum(len(episode) > 0 for episode in episodes):
-        if len(episodes) >= n + rollout.MAX_FAILURES:
-            require_transitions(episodes[-rollout.MAX_FAILURES :])
+        require_progress(episodes)
         episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
     return episodes
 
@@ -379,6 +379,7 @@ class DDPGHER(Learner):
 
     def wants_more(self, episodes: list[Episode]) -> bool:
         """Return whether a cycle has too few episodes with transitions."""
+        require_progress(episodes)
         return sum(len(e) > 0 for e in episodes) < self.config.n_rollouts
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:

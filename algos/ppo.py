@@ -40,6 +40,7 @@ from .rollout import (
     discounted,
     finite,
     largest_return,
+    require_progress,
     require_transitions,
     summary,
 )
@@ -360,6 +361,7 @@ class PPO(Learner):
 
     def wants_more(self, episodes: list[Episode]) -> bool:
         """Return whether an epoch has too few steps; episodes without one count as one."""
+        require_progress(episodes)
         return sum(max(1, len(e)) for e in episodes) < self.config.steps_per_epoch
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:

@@ -201,6 +201,12 @@ def require_transitions(episodes: list[Episode]) -> list[Episode]:
     return usable
 
 
+def require_progress(episodes: list[Episode]) -> None:
+    """Raise DivergenceError when the last `MAX_FAILURES` episodes have no transitions."""
+    if len(episodes) >= MAX_FAILURES:
+        require_transitions(episodes[-MAX_FAILURES:])
+
+
 def finite(values: Any, what: str) -> Any:
     """Return `values` if all are finite in float32; DivergenceError where they are not."""
     is_finite = np.abs(values) <= FLOAT32_MAX

@@ -344,9 +344,11 @@ class _Training:
         # A run's share of the batch's time, so that the sum over runs is what was spent.
         shares = [each / len(before) for each in seconds]
         for i, one in enumerate(self.members):
+            if i in learner.failures:
+                continue
             cycles = zip(collected, learned, strict=True)
             mine = [(each[i], more[i]) for each, more in cycles if i in each]
-            if mine and i not in learner.failures:
+            if mine:
                 one.epoch += 1
                 test = tests.get(i, {})
                 speed = (after[i] - before[i]) / spent
@@ -372,7 +374,9 @@ class _Training:
                 self.members[i].rows[-1][FINAL_TEST] = test["success_rate"]
 
     def _waits(self, i: int) -> bool:
-        """Return whether a run has ended and is still to be tested."""
+        """Return whether a run has ended without failing and is still to be tested."""
+        if i in self.learner.failures:
+            return False
         one, rows = self.learner.learners[i], self.members[i].rows
         has_ended = bool(rows) and one.env_steps >= one.total_timesteps
         return bool(self.n_test_episodes) and has_ended and rows[-1][FINAL_TEST] == ""

@@ -1,5 +1,6 @@
 """A batch of runs learns as each run does by itself."""
 
+import re
 from dataclasses import replace
 
 import gymnasium as gym
@@ -173,3 +174,61 @@ def _same(want, got, tolerance, where=""):
         )
     elif isinstance(want, float) and "lr" not in where:
         assert got == pytest.approx(want, rel=tolerance), where
+
+
+class Breaks(PointBatch):
+    """Points of which run 1's break: their resets, observations or rewards."""
+
+    def __init__(self, seen, worlds, what):
+        super().__init__(seen, worlds)
+        self.what, self.broken = what, np.arange(self.num_envs) // worlds == 1
+
+    def reset(self, **options):
+        obs, _ = super().reset(**options)
+        return obs, {"diverged": self.broken & (self.what == "reset")}
+
+    def step(self, actions):
+        assert actions.isfinite().all()
+        obs, reward, *rest = super().step(actions)
+        if self.what in ("observation", "reward"):
+            value = obs["observation"] if self.what == "observation" else reward
+            value[torch.from_numpy(self.broken)] = np.nan
+        return obs, reward, *rest
+
+
+@pytest.mark.parametrize(("algo", "config"), [("ppo", PPO_CONFIG), ("ddpg_her", HER_CONFIG)])
+@pytest.mark.parametrize("what", ["reset", "observation", "reward", "parameter"])
+def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
+    rows = []
+    for broken in ("", what):
+        learners = [single(algo, config, seed, 0) for seed in (5, 6, 7)]
+        many = batch.BATCHED[type(learners[0])](learners, Breaks((0, 0, 0), 2, broken))
+        if broken == "parameter":
+            many.actor.flat.data[1] = np.nan
+        rows.append([(many.collect(), many.update(), many.test([True] * 3)) for _ in range(3)])
+        assert [i for i in range(3) if i in many.failures] == [1] * bool(broken)
+    reason = "could not begin" if what == "reset" else f"{what}.*not finite"
+    assert re.search(reason, many.failures[1])
+    for want, got in zip(*rows, strict=True):
+        for each, mine in zip(want, got, strict=True):
+            assert 1 not in mine or (what == "parameter" and got[0] is mine)
+            for i in {*each} - {1}:
+                assert mine[i] == pytest.approx(each[i], rel=1e-3, abs=1e-6, nan_ok=True)
+    assert many.play_best({}, 2) == {}
+
+
+def test_tests_are_as_many_as_asked_for(monkeypatch):
+    monkeypatch.setattr(batch.rollout, "MAX_FAILURES", 2)
+    learner = single("ppo", PPO_CONFIG, 5, 0)
+    many = batch.BatchPPO([learner], PointBatch((0,), 2))
+    assert many.play_best({0: learner.key(2)}, 7)[0]["episodes"] == 7
+
+
+def test_a_gradient_that_is_off_changes_nothing():
+    mlp = single("ppo", PPO_CONFIG, 5, 0).actor
+    networks = batch.Networks([(mlp, (), ())], [torch.arange(4)], 4, torch.device("cpu"))
+    before = networks.flat.detach().clone()
+    off = torch.zeros(1, 1)
+    networks.step(torch.full_like(before, np.inf), torch.ones(1, 1), off)
+    assert networks.flat.equal(before)
+    assert networks.moments[0].equal(torch.zeros_like(before))

@@ -120,6 +120,19 @@ def test_a_batch_that_was_killed_goes_on_as_if_it_had_not_been(
         assert json.loads(second.config_file.read_text())["provenance"][0]["epoch"] == 0
 
 
+def test_a_run_that_diverges_leaves_the_others_of_its_batch(tmp_path, in_a_loop, capsys):
+    text = STUDY.partition("[setups.bullet]")[0]
+    text = text.replace('touch = ["on", "off"], seed = 0}', "critic_lr = [1e-3, 1e30], seed = 0}", 1)
+    study = write(tmp_path, text.replace('compare = {touch = ["on", "off"]}', ""))
+    out = tmp_path / "out"
+    assert main(["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "1"]) == 1
+    by_state = {one.run.name: one for one in records.load(out)[1]}
+    failed = [name for name, one in by_state.items() if one.state == "failed"]
+    assert len(failed) == 1
+    assert [one.state for name, one in by_state.items() if name not in failed] == 5 * ["done"]
+    assert "stopped: a loss or a parameter" in capsys.readouterr().out
+
+
 def test_a_batch_that_is_told_to_end_ends_at_its_next_step(tmp_path, in_a_loop, monkeypatch, capsys):
     """As SIGTERM tells it, by a flag."""
     steps, step = [], batch._Worlds.step
