@@ -14,7 +14,8 @@ import copy
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import compress, count, zip_longest
-from typing import Any, TypeVar
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -27,6 +28,7 @@ from .ddpg_her import (
     DDPGHER,
     VIEW,
     Exploration,
+    GoalInputs,
     actor_loss,
     q_values,
     td_targets,
@@ -60,6 +62,17 @@ def alike(config: Any) -> tuple[Any, ...]:
 # -- networks --------------------------------------------------------------------------------
 
 
+class Single(NamedTuple):
+    """Say where a run's own network is in a row of `Networks`, and what is written back to."""
+
+    places: Tensor
+    """Places of its parameters in the row."""
+    parts: list[list[Tensor]]
+    """Its parameters, and their moments by the names in `MOMENTS`."""
+    states: list[dict[str, Tensor]]
+    """Each parameter's state of its Adam."""
+
+
 class Networks:
     """Hold one network of each run in one tensor, `flat` (E, parameters), and its Adam.
 
@@ -85,7 +98,7 @@ class Networks:
         shape = len(runs), sum(self.sizes)
         self.flat, *self.moments = (torch.zeros(shape, device=device) for _ in range(3))
         self.n_steps = torch.zeros(len(runs), 1, device=device)
-        self.singles = []
+        self.singles = list[Single]()
         for i, (network, more, adams) in enumerate(runs):
             weights, others = torch.arange(shape[1]).tensor_split([self.sizes[0]])
             own = weights.view(self.shapes[0])[:, columns[i]].ravel()
@@ -94,9 +107,10 @@ class Networks:
             states = [_moments(p, owners.get(p)) for p in parameters]
             parts = [[s[name] for s in states] for name in MOMENTS]
             parts = [[p.detach() for p in parameters], *parts]
-            self.singles.append((torch.cat([own, others]), parts, states))
+            single = Single(torch.cat([own, others]), parts, states)
+            self.singles.append(single)
             for row, tensors in zip((self.flat, *self.moments), parts, strict=True):
-                row[i, self.singles[i][0]] = parameters_to_vector(tensors).to(device)
+                row[i, single.places] = parameters_to_vector(tensors).to(device)
             self.n_steps[i] = max(float(state["step"]) for state in states)
         self.state = self.flat.detach(), self.n_steps, *self.moments
         self.flat.requires_grad_()
@@ -104,12 +118,14 @@ class Networks:
     @torch.no_grad()
     def write(self, i: int) -> None:
         """Write run `i` into its own network and Adams."""
-        places, parts, states = self.singles[i]
-        for row, tensors in zip((self.flat, *self.moments), parts, strict=True):
-            values = row[i].cpu()[places].split([part.numel() for part in tensors])  # type: ignore[no-untyped-call]
+        single = self.singles[i]
+        for row, tensors in zip((self.flat, *self.moments), single.parts, strict=True):
+            values = (
+                row[i].cpu()[single.places].split([part.numel() for part in tensors])
+            )  # type: ignore[no-untyped-call]
             for part, value in zip(tensors, values, strict=True):
                 part.copy_(value.view_as(part))
-        for state in states:
+        for state in single.states:
             state["step"].copy_(self.n_steps[i, 0])
 
     def __call__(self, x: Tensor) -> Tensor:
@@ -235,27 +251,29 @@ class Worlds:
         views[:, 0] = seen
         actions = np.zeros((n, steps, *env.single_action_space.shape), np.float32)
         rewards, lengths = np.zeros((n, steps)), np.zeros(n, np.int64)
-        success, terminated, is_free = live & False, live & False, live
+        success, terminated, takes_action = live & False, live & False, live
         while live.any():
             by_run = seen.unflatten(0, self.shape)  # type: ignore[no-untyped-call]
             chosen = with_noise(act(by_run).flatten(0, 1).cpu().numpy(), lengths)
             chosen = np.where(np.isnan(chosen), 0.0, chosen)  # of runs that fail
-            actions[is_free, lengths[is_free]] = chosen[is_free]
+            actions[takes_action, lengths[takes_action]] = chosen[takes_action]
             on_device = torch.from_numpy(chosen.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
             reward, is_end, is_cut = (result.cpu().numpy() for result in results)
             seen, broken = self._whole(obs), live & self._flags(info, "diverged")
-            is_free = live & ~self._flags(info, "holding")
-            done = is_free & ~broken
-            rewards[done, lengths[done]] = reward[done]
-            lengths += done
-            at = np.flatnonzero(done)
+            is_over = live & ~self._flags(info, "holding")  # the step
+            completed = is_over & ~broken
+            rewards[completed, lengths[completed]] = reward[completed]
+            lengths += completed
+            at = np.flatnonzero(completed)
             views[at, lengths[at]] = seen[at]
-            success = np.where(done, self._flags(info, "is_success"), success & ~broken)
-            terminated |= done & is_end
+            success = np.where(
+                completed, self._flags(info, "is_success"), success & ~broken
+            )
+            terminated |= completed & is_end
             diverged |= broken
-            live = live & ~broken & ~(is_free & (is_end | is_cut))
-            is_free = is_free & live
+            live = live & ~broken & ~(completed & (is_end | is_cut))
+            takes_action = is_over & live
         on_host = views.cpu().numpy()
         played = {
             world: Episode(
@@ -296,7 +314,7 @@ class BatchLearner:
         self.device = torch.device(env.device)
         self.worlds = Worlds(env, len(learners))
         self.cycles_per_epoch = learners[0].cycles_per_epoch
-        self.config = learners[0].config
+        self.config = learners[0].config  # but for floats, which are in `hyper`
         spaces = env.single_observation_space
         self.width, self.n_goal = (
             math.prod(spaces[key].shape) for key in ("observation", "desired_goal")
@@ -400,7 +418,8 @@ class BatchLearner:
         rows = torch.cat([sums, *weights], dim=1).tolist()
         for i in self.on:
             self.tried(i, self.learners[i].require_finite, rows[i])
-        return {i: [x / n_updates[i] for x in rows[i]] for i in self.on}
+        n = sums.shape[1]
+        return {i: [x / n_updates[i] for x in rows[i][:n]] for i in self.on}
 
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
@@ -441,24 +460,19 @@ class BatchPPO(BatchLearner):
         self.critic = Networks(critics, *place)
         acting = [{n: getattr(one, n) for n in one.undoable} for one in self.learners]
         self.kept = copy.deepcopy(acting)
-        each = enumerate(self.learners)
-        self.has_before = {i for i, one in each if one.before_update}
-        for i in self.has_before:
-            restore(self.kept[i], self.learners[i].before_update)
-        self.actor, self.before = (
-            Networks(
-                [
-                    (
-                        p["actor"],
-                        [p["gaussian"].log_std],
-                        (p["actor_adam"], p["std_adam"]),
-                    )
-                    for p in each
-                ],
-                *place,
-            )
-            for each in (acting, self.kept)
-        )
+        self.has_before = set[int]()
+        for i, one in enumerate(self.learners):
+            if one.before_update:
+                self.has_before.add(i)
+                restore(self.kept[i], one.before_update)
+
+        def networks(parts: Sequence[dict[str, Any]]) -> Networks:
+            names = "actor", "gaussian", "actor_adam", "std_adam"
+            each = (itemgetter(*names)(p) for p in parts)
+            runs = [(actor, [g.log_std], adams) for actor, g, *adams in each]
+            return Networks(runs, *place)
+
+        self.actor, self.before = networks(acting), networks(self.kept)
         self.look()
 
     def look(self) -> None:
@@ -472,18 +486,20 @@ class BatchPPO(BatchLearner):
     def act(self, seen: Tensor) -> Tensor:
         return self.actor(self._inputs(seen))
 
+    def _std(self) -> Tensor:
+        """Return each run's standard deviation of actions, (E, 1, d)."""
+        at_start = self.hyper["action_variance"].sqrt()[..., None]
+        return at_start * self.actor.flat[:, None, -self.n_actions :].exp()
+
     def _policy(self, inputs: Tensor) -> torch.distributions.Normal:
-        std = (
-            self.hyper["action_variance"].sqrt()[..., None]
-            * self.actor.flat[:, None, -self.n_actions :].exp()
-        )
-        return torch.distributions.Normal(self.actor(inputs), std, validate_args=False)
+        normal = torch.distributions.Normal
+        return normal(self.actor(inputs), self._std(), validate_args=False)
 
     def explore(self, rngs: Rngs) -> Explore:
         """Draw the noise of whole episodes at once."""
         n, steps = self.env.num_envs, self.env.max_episode_steps
         noise = np.zeros((n, steps, self.n_actions), np.float32)
-        stds = self._policy(self.scale.mean_high).scale[:, 0].cpu().numpy()
+        stds = self._std()[:, 0].cpu().numpy()
         for world, rng in rngs.items():
             drawn = rng.standard_normal(noise.shape[1:], dtype=np.float32)
             noise[world] = stds[world // self.worlds.shape[1]] * drawn
@@ -617,7 +633,7 @@ class BatchPPO(BatchLearner):
             one = self.learners[i]
             one.gaussian.log_std.data.copy_(log_std[i])
             explained = explained_variance(columns[i][:, -1], columns[i][:, -2])
-            rows[i] = dict(zip(names, means, strict=False))
+            rows[i] = dict(zip(names, means, strict=True))
             rows[i] |= one.after_update(explained, verdicts[i], n_updates[i])
         self.look()
         return rows
@@ -666,22 +682,15 @@ class BatchDDPGHER(BatchLearner):
             for name in ("obs_stats", "goal_stats")
         )
         of_goals = [torch.arange(self.n_goal)] * len(goals)
-        self.scales = (
+        self.inputs = GoalInputs(
             stacked(obs, self.columns(0), self.width, self.device),
             stacked(goals, of_goals, self.n_goal, self.device),
-        )
-
-    def _inputs(self, *parts: Tensor) -> Tensor:
-        """Return the networks' inputs (E, n, ...) from observations and goals (E, n, ...)."""
-        limit = self.hyper["clip_obs"][..., None]
-        both = zip(self.scales, parts, strict=True)
-        return torch.cat(
-            [scale(part.clamp(-limit, limit)) for scale, part in both], dim=-1
+            self.hyper["clip_obs"][..., None],
         )
 
     def act(self, seen: Tensor) -> Tensor:
         obs, goal, _ = seen.split([self.width, self.n_goal, self.n_goal], dim=-1)  # type: ignore[no-untyped-call]
-        return self.actor(self._inputs(obs, goal))
+        return self.actor(self.inputs(obs, goal))
 
     def explore(self, rngs: Rngs) -> Explore:
         """Draw the noise of whole episodes at once, in the order of the single learner's steps."""
@@ -696,6 +705,7 @@ class BatchDDPGHER(BatchLearner):
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in configs]
         of_worlds = np.repeat(values, self.worlds.shape[1], axis=0)
         noise_eps, *chances = np.split(of_worlds, 3, axis=1)
+        # Its own generator draws nothing: all is drawn above.
         exploration = Exploration(np.random.default_rng(), noise_eps, *chances)
         noise *= noise_eps.astype(np.float32)
         drawn = (2.0 * uniform[..., 1:] - 1.0).astype(np.float32)
@@ -762,7 +772,7 @@ class BatchDDPGHER(BatchLearner):
                 self._move_targets()
         rows, n_updates = Rows(), dict.fromkeys(self.on, n)
         for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
-            rows[i] = dict(zip(LOSSES, means, strict=False)) | {"updates": n}
+            rows[i] = dict(zip(LOSSES, means, strict=True)) | {"updates": n}
             rows[i]["mean_q"] *= singles[i].rewards.unit
         return rows
 
@@ -818,11 +828,11 @@ class BatchDDPGHER(BatchLearner):
         here = self.memory[self.e, one.slot, one.step]
         following = self.memory[self.e, one.slot, one.step + 1]
         batch = Batch(
-            obs=self._inputs(here[..., : self.width], one.goal),
+            obs=self.inputs(here[..., : self.width], one.goal),
             goal=one.goal,
             action=here[..., self.width :],
             reward=one.reward,
-            next_obs=self._inputs(following[..., : self.width], one.goal),
+            next_obs=self.inputs(following[..., : self.width], one.goal),
             terminal=one.terminal,
         )
         parts = (part.split(self.config.batch_size, dim=1) for part in batch)  # type: ignore[no-untyped-call]

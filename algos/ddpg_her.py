@@ -56,7 +56,8 @@ from .rollout import (
 )
 
 CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
-VIEW = ("observation", "desired_goal", "achieved_goal")  # what is kept of them
+# What is kept of observations, in this order; networks see all but the last.
+VIEW = ("observation", "desired_goal", "achieved_goal")
 REPLAY_P = 0.8  # paper
 # A run warns where more values are cut at clip_obs, or as many columns have too small a spread.
 MAX_CUT, MAX_AT_FLOOR = 0.01, 0.5
@@ -168,14 +169,19 @@ def td_targets(
     )
 
 
+def n_missing(episodes: list[Episode], n: int) -> int:
+    """Return how many of `n` episodes with transitions are missing; may raise DivergenceError."""
+    require_progress(episodes)
+    return n - sum(len(episode) > 0 for episode in episodes)
+
+
 def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
     """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
 
     DivergenceError when `rollout.MAX_FAILURES` in a row have none.
     """
     episodes: list[Episode] = []
-    while missing := n - sum(len(episode) > 0 for episode in episodes):
-        require_progress(episodes)
+    while missing := n_missing(episodes, n):
         episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
     return episodes
 
@@ -213,8 +219,8 @@ class Exploration:
         """Take numbers, or columns (n, 1) with one for each row of actions."""
         self.rng, self.noise_eps, self.random_eps = rng, noise_eps, random_eps
         self.random_hold = random_hold
-        # Probability that a random action begins after another one: where holds last h steps on
-        # average, a share of h q / (h q + 1 - q) of all steps is random.
+        # Probability q that a random action begins where none is held: where holds last h steps
+        # on average, a share of h q / (h q + 1 - q) of all steps is random.
         self._begin = random_eps / (random_eps + random_hold * (1.0 - random_eps))
         # Which rows were random in the last step, (n, 1); None before the first.
         self._is_random: Array | None = None
@@ -254,7 +260,7 @@ class GoalInputs:
 
     obs_scaling: Scaling
     goal_scaling: Scaling
-    limit: float
+    limit: Any
 
     def read(self, obs: Any) -> Array:
         """Return observation, desired and achieved goal side by side."""
@@ -262,17 +268,15 @@ class GoalInputs:
         return np.concatenate([np.ravel(whole[key]) for key in VIEW], dtype=np.float32)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        seen, n_goal = (
-            torch.from_numpy(np.stack(views)),
-            len(self.goal_scaling.mean_high),
-        )
+        n_goal = len(self.goal_scaling.mean_high)
+        seen = torch.from_numpy(np.stack(views))  # ordered as `VIEW`
         return self(seen[:, : -2 * n_goal], seen[:, -2 * n_goal : -n_goal])
 
     def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
-        """Return inputs (n, obs + goal) from observations (n, obs) and goals (n, goal)."""
+        """Return inputs (..., obs + goal) from observations (..., obs) and goals (..., goal)."""
         scaled_obs = self.obs_scaling(obs.clamp(-self.limit, self.limit))
         scaled_goals = self.goal_scaling(goals.clamp(-self.limit, self.limit))
-        return torch.cat([scaled_obs, scaled_goals], dim=1)
+        return torch.cat([scaled_obs, scaled_goals], dim=-1)
 
 
 class DDPGHER(Learner):
@@ -282,20 +286,18 @@ class DDPGHER(Learner):
     policy_parts = ("actor", "obs_stats", "goal_stats")
     saved = (
         *policy_parts,
-        *(
-            "critic",
-            "target_actor",
-            "target_critic",
-            "actor_adam",
-            "critic_adam",
-            "rewards",
-        ),
+        "critic",
+        "target_actor",
+        "target_critic",
+        "actor_adam",
+        "critic_adam",
+        "rewards",
     )
     plain = ("env_steps", "updates", "cycles")
 
     def build(self, generator: torch.Generator) -> None:
         config: DDPGHERConfig = self.config
-        workers, comm, seed = self.workers, self.comm, self.seed
+        workers, comm = self.workers, self.comm
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
         n_goal = goal_size(space)
         if not (steps := workers.max_episode_steps):
@@ -312,7 +314,7 @@ class DDPGHER(Learner):
         parts = self.new_parts(config, self.spaces, comm, generator)
         self.actor, self.obs_stats, self.goal_stats = parts.values()
         self.actor.to(self.device)
-        sizes = (self._n_obs + n_actions, *config.hidden, 1)
+        sizes = (self.n_inputs + n_actions, *config.hidden, 1)
         self.critic = MLP(sizes, generator).to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
         self.critic_parameters = [*self.critic.parameters()]
@@ -324,9 +326,8 @@ class DDPGHER(Learner):
         self.replay = Replay(
             config.buffer_size,
             steps,
-            (self._n_obs - n_goal, n_goal, n_actions),
+            (self.n_inputs - n_goal, n_goal, n_actions),
             workers.compute_reward,
-            np.random.default_rng([seed, comm.rank, rollout.LEARN]),
             workers.compute_terminated if config.termination == "terminal" else None,
         )
         self.action_l2 = config.action_l2  # falls where it is annealed
@@ -338,8 +339,8 @@ class DDPGHER(Learner):
         self.new_slots = np.zeros(0, np.int64)  # where the replay has them
 
     def check(self) -> None:
-        *_, episode = play_episodes(self.workers, self._player(rollout.PROBE), 1)
-        self.replay.require_rewards(episode)
+        episodes = play_episodes(self.workers, self._player(rollout.PROBE), 1)
+        self.replay.require_rewards(episodes[-1])  # the one with transitions
         self.replay.require_memory(self.comm.local_size)
 
     def describe(self) -> str:
@@ -379,8 +380,7 @@ class DDPGHER(Learner):
 
     def wants_more(self, episodes: list[Episode]) -> bool:
         """Return whether a cycle has too few episodes with transitions."""
-        require_progress(episodes)
-        return sum(len(e) > 0 for e in episodes) < self.config.n_rollouts
+        return n_missing(episodes, self.config.n_rollouts) > 0
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Take a cycle's episodes into the replay and the normalizers; return counts and means."""
@@ -395,6 +395,7 @@ class DDPGHER(Learner):
         batch = self.replay.sample(n, self.config.replay_p, self.new_slots)
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
+        self._warn_of_units(batch)
         return stats
 
     def test(self) -> dict[str, float]:
@@ -414,7 +415,6 @@ class DDPGHER(Learner):
         factor = self.rescale(drawn.reward)
         for critic in (self.critic, self.target_critic):
             critic.scale_outputs(factor)
-        self._warn_of_units(drawn)
         batch = self._as_inputs(drawn)
         minibatches = zip(
             *(torch.split(part, config.batch_size) for part in batch), strict=True
@@ -483,8 +483,8 @@ class DDPGHER(Learner):
         parameters = self.actor_parameters + self.critic_parameters
         self._sum_gradients(parameters)
         if self.config.reduction == "mean":
-            for gradient in (p.grad for p in parameters if p.grad is not None):
-                gradient.div_(self.comm.size)
+            for parameter in parameters:
+                parameter.grad.div_(self.comm.size)
         self.critic_adam.step()
         self.actor_adam.step()
         return torch.cat([critic_loss[None], actor_losses])
@@ -548,7 +548,7 @@ class DDPGHER(Learner):
         """Replace gradients by their sums over ranks: one message."""
         if self.comm.size == 1:
             return
-        gradients = [p.grad for p in parameters if p.grad is not None]
+        gradients = [p.grad for p in parameters]
         vector = parameters_to_vector(gradients)
         self.comm.sum_(vector)
         vector_to_parameters(vector, gradients)

@@ -80,7 +80,7 @@ class Learner(ABC):
         self.seed, self.total_timesteps = seed, total_timesteps
         self.device = torch.device(device)
         self.spaces = Spaces(workers.observation_space, workers.action_space)
-        self._n_obs = flat_size(self.spaces.observation)
+        self.n_inputs = flat_size(self.spaces.observation)  # of the networks
         self.env_steps = 0  # so far, on all ranks
         self._warned = set[str]()
         self._second_thread: ThreadPoolExecutor | None = None

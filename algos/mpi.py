@@ -88,7 +88,7 @@ def world() -> Communicator:
     try:
         return MPICommunicator()
     except ImportError:
-        if size is None and launched_rank() == "0":
+        if size is None and launched_rank() == "0":  # most likely a launch of one
             return Communicator()
         raise
 

@@ -69,8 +69,8 @@ class Normalizer:
     @property
     def std(self) -> Array:
         """Divisor of each column, float64 (size,): at least `MIN_STD`, 1 before the first update."""
-        count = max(self.count, 1.0)
-        variance = self._squares / count if self.count else np.ones_like(self.mean)
+        is_new = self.count == 0
+        variance = np.ones_like(self.mean) if is_new else self._squares / self.count
         norm = (PRIOR_ROWS + self._block_squares) / (PRIOR_ROWS + self.count)
         variance = np.where(self.block, norm / BLOCK_NORM, variance)
         return np.where(self.as_is, 1.0, np.maximum(np.sqrt(variance), MIN_STD))

@@ -311,7 +311,7 @@ class PPO(Learner):
             )
         parts = self.new_parts(config, self.spaces, self.comm, generator)
         self.actor, self.gaussian, self.obs_stats = parts.values()
-        self.critic = MLP((self._n_obs, *config.hidden, 1), generator)
+        self.critic = MLP((self.n_inputs, *config.hidden, 1), generator)
         if config.orthogonal_init:
             start_orthogonal(self.actor, ACTOR_GAIN, generator)
             start_orthogonal(self.critic, 1.0, generator)

@@ -29,7 +29,9 @@ class Batch(NamedTuple, Generic[Values]):
     """Rewards (n,)."""
     next_obs: Values
     terminal: Values
-    """1 where this transition ends the episode, with its goal, else 0, (n,)."""
+    """1 where this transition ends the episode, with its goal, else 0, (n,).
+
+    Learners that bootstrap all the same ignore it."""
 
 
 class Relabelled(NamedTuple, Generic[Values]):
@@ -49,13 +51,15 @@ class Replay:
     first episode is stored, and filled as episodes come.
     """
 
+    rng: np.random.Generator
+    """The learner gives a new one for each cycle."""
+
     def __init__(
         self,
         capacity: int,
         max_steps: int,
         sizes: tuple[int, int, int],
         reward: Reward,
-        rng: np.random.Generator,
         ends: Ends | None = None,
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
@@ -72,7 +76,7 @@ class Replay:
         n_obs, n_goal, n_actions = sizes
         widths = n_obs, n_goal, n_goal, n_actions, 1
         self.sizes = dict(zip(COLUMNS, widths, strict=True))
-        self.reward, self.rng, self.ends = reward, rng, ends
+        self.reward, self.ends = reward, ends
         self.n_episodes = 0
         self._columns: dict[str, Array] = {}  # (slot, step, size)
         self._lengths = np.zeros(0, np.int64)  # of the episode in each slot
@@ -210,22 +214,23 @@ class Replay:
             return was_terminal
         ends = self.ends(achieved[is_relabelled], goal[is_relabelled])
         if ends is None:
-            slots, columns = np.arange(self.n_episodes), self._columns
-            last = self._lengths[slots] - 1
-            has_ended = columns["terminal"][slots, last, 0] == 1
-            slots, last = slots[has_ended], last[has_ended]
-            ended = (
-                columns["achieved"][slots, last + 1],
-                columns["desired"][slots, last],
-            )
-            lowest = np.min(self.reward(*ended)) if len(slots) else np.inf
-            others = reward[~is_relabelled & ~was_terminal]
+            lowest = self._lowest_ending_reward()
+            others = reward[~is_relabelled & ~was_terminal]  # of this draw only
             if not len(others) or lowest <= others.max():
                 return was_terminal
             ends = reward[is_relabelled] >= lowest
         terminal = was_terminal.copy()
         terminal[is_relabelled] = ends
         return terminal
+
+    def _lowest_ending_reward(self) -> float:
+        """Return the lowest reward of all transitions that ended an episode; inf without any."""
+        columns, slots = self._columns, np.arange(self.n_episodes)
+        last = self._lengths[slots] - 1
+        has_ended = columns["terminal"][slots, last, 0] == 1
+        slots, last = slots[has_ended], last[has_ended]
+        goals = columns["achieved"][slots, last + 1], columns["desired"][slots, last]
+        return float(np.min(self.reward(*goals))) if len(slots) else np.inf
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""

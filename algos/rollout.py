@@ -62,7 +62,7 @@ class PlayEpisode:
 
     policy: Policy
     key: tuple[int, int, int, int]
-    """(seed, rank, purpose, batch), which differ wherever episodes should."""
+    """(seed, rank, purpose, cycle), which differ wherever episodes should."""
     explores: bool = True
 
     def __call__(

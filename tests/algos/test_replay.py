@@ -23,8 +23,9 @@ def episode(number, length=MAX_STEPS, terminated=False):
 
 
 def make_replay(slots=10, seed=0):
-    rng = np.random.default_rng(seed)
-    return Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2), reward, rng)
+    replay = Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2), reward)
+    replay.rng = np.random.default_rng(seed)
+    return replay
 
 
 def filled(numbers, slots=10, lengths=None):
@@ -132,7 +133,7 @@ class TestStoring:
 
     def test_too_small(self):
         with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
-            Replay(7, 8, (3, 3, 2), reward, np.random.default_rng(0))
+            Replay(7, 8, (3, 3, 2), reward)
 
 
 class TestSaving:
