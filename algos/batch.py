@@ -39,14 +39,13 @@ from .networks import MLP, layer_shapes
 from .normalizer import Normalizer, Scaling
 from .ppo import PPO, ActorLoss, explained_variance, surrogate
 from .replay import Batch, Relabelled
-from .rollout import Episode, finite, summary
+from .rollout import Episode, Key, finite, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
 LOSSES = ("critic_loss", "actor_loss", "mean_q")  # of DDPG
 Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
 T = TypeVar("T")
-Key = tuple[int, int, int, int]
 Rows = dict[int, dict[str, float]]  # of the progress table, by run
 Explore = Callable[[Array, Array], Array]
 """Return actions (n, d) to take from those of the policy and the numbers of their steps (n,)."""
@@ -120,9 +119,8 @@ class Networks:
         """Write run `i` into its own network and Adams."""
         single = self.singles[i]
         for row, tensors in zip((self.flat, *self.moments), single.parts, strict=True):
-            values = (
-                row[i].cpu()[single.places].split([part.numel() for part in tensors])
-            )  # type: ignore[no-untyped-call]
+            own, sizes = row[i].cpu()[single.places], [part.numel() for part in tensors]
+            values = own.split(sizes)  # type: ignore[no-untyped-call]
             for part, value in zip(tensors, values, strict=True):
                 part.copy_(value.view_as(part))
         for state in single.states:
@@ -332,10 +330,6 @@ class BatchLearner:
         """Stack the learners' networks; set `own`."""
         raise NotImplementedError
 
-    def look(self) -> None:
-        """Scale what networks are given as the runs' normalizers now do."""
-        raise NotImplementedError
-
     def act(self, seen: Tensor) -> Tensor:
         """Return actions without exploration (E, W, d) from whole observations (E, W, ...)."""
         raise NotImplementedError
@@ -377,29 +371,23 @@ class BatchLearner:
         for i in self.on:
             self.learners[i].begin()
         keys = {i: self.learners[i].key(rollout.TRAIN) for i in self.on}
-        self.obs, self.episodes = self.play(
+        self.obs, self.episodes = self.worlds.play(
             keys,
             lambda i, played: bool(self.tried(i, self.learners[i].wants_more, played)),
+            self.act,
             self.explore,
         )
         for i in self.on:
-            for episode in self.episodes[i]:
-                episode.obs = episode.obs[:, self.own[i]]  # type: ignore[call-overload]
-            if row := self.tried(i, self.learners[i].keep, self.episodes[i]):
+            if row := self.tried(i, self._keep, i):
                 rows[i] = row
         return rows
 
-    def play(
-        self,
-        keys: Mapping[int, Key],
-        wants_more: Callable[[int, list[Episode]], bool],
-        explore: Callable[[Rngs], Explore],
-    ) -> tuple[Tensor, dict[int, list[Episode]]]:
-        """Return what `Worlds.play` returns; runs with values that are not finite have failed."""
-        obs, episodes = self.worlds.play(keys, wants_more, self.act, explore)
-        for i, mine in episodes.items():
-            self.tried(i, _require_finite, mine)
-        return obs, episodes
+    def _keep(self, i: int) -> dict[str, float]:
+        """Let run `i` keep its episodes, with its own part of the observations."""
+        for episode in (episodes := _finite(self.episodes[i])):
+            episode.obs = episode.obs[:, self.own[i]]  # type: ignore[call-overload]
+        row: dict[str, float] = self.learners[i].keep(episodes)
+        return row
 
     def tried(self, i: int, function: Callable[..., T], *args: Any) -> T | None:
         """Return what a function returns; where it raises DivergenceError, run `i` has failed."""
@@ -425,13 +413,14 @@ class BatchLearner:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
         if not keys:
             return {}
-        _, episodes = self.play(
+        _, episodes = self.worlds.play(
             keys,
             lambda _, played: len(played) < n,
+            self.act,
             lambda rngs: lambda actions, steps: actions,
         )
-        passed = episodes.keys() - self.failures
-        return {i: summary(episodes[i]) for i in sorted(passed)}
+        usable = {i: self.tried(i, _finite, mine) for i, mine in episodes.items()}
+        return {i: summary(mine) for i, mine in usable.items() if mine}
 
     def test(self, asked: Sequence[bool]) -> Rows:
         """Return how good the runs that are asked for (E,) are without exploration; may be empty."""
@@ -442,11 +431,12 @@ class BatchLearner:
         raise NotImplementedError
 
 
-def _require_finite(episodes: Sequence[Episode]) -> None:
-    """Raise DivergenceError where observations or rewards are not finite, as a single run does."""
+def _finite(episodes: list[Episode]) -> list[Episode]:
+    """Return episodes; DivergenceError where one has what is not finite, as in a single run."""
     for episode in episodes:
         finite(episode.obs, "an observation of the environment")
         finite(episode.rewards, "the reward of the environment")
+    return episodes
 
 
 class BatchPPO(BatchLearner):
@@ -476,6 +466,7 @@ class BatchPPO(BatchLearner):
         self.look()
 
     def look(self) -> None:
+        """Scale what networks are given as the runs' normalizers now do."""
         stats = [one.obs_stats for one in self.learners]
         self.scale = stacked(stats, self.own, self.size, self.device)
 
@@ -677,6 +668,7 @@ class BatchDDPGHER(BatchLearner):
         self.look()
 
     def look(self) -> None:
+        """Scale what networks are given as the runs' normalizers now do."""
         obs, goals = (
             [getattr(one, name) for one in self.learners]
             for name in ("obs_stats", "goal_stats")

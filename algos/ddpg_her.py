@@ -366,7 +366,7 @@ class DDPGHER(Learner):
         episodes = play_episodes(self.workers, player, self.config.n_rollouts)
         return self.keep(episodes)
 
-    def key(self, purpose: int) -> tuple[int, int, int, int]:
+    def key(self, purpose: int) -> rollout.Key:
         """Return the key of this cycle's episodes, for one of the purposes in `rollout`."""
         return self.seed, self.comm.rank, purpose, self.cycles
 
@@ -548,7 +548,7 @@ class DDPGHER(Learner):
         """Replace gradients by their sums over ranks: one message."""
         if self.comm.size == 1:
             return
-        gradients = [p.grad for p in parameters]
+        gradients: list[Any] = [p.grad for p in parameters]
         vector = parameters_to_vector(gradients)
         self.comm.sum_(vector)
         vector_to_parameters(vector, gradients)

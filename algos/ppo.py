@@ -350,7 +350,7 @@ class PPO(Learner):
                 break
         return self.keep(episodes)
 
-    def key(self, purpose: int) -> tuple[int, int, int, int]:
+    def key(self, purpose: int) -> rollout.Key:
         """Return the key of this epoch's random numbers, for one of the purposes in `rollout`."""
         return self.seed, 0, purpose, self.epochs
 

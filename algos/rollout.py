@@ -24,6 +24,7 @@ MAX_LENGTH = 20_000
 MAX_FAILURES = 100
 # What episodes are for: each purpose has random numbers of its own, and so has learning.
 TRAIN, TEST, EVALUATE, PROBE, LEARN = 1, 2, 3, 4, 5
+Key = tuple[int, int, int, int]
 
 
 @dataclass
@@ -61,7 +62,7 @@ class PlayEpisode:
     """Play the episode of a number: its start and its noise follow from `key` and the number."""
 
     policy: Policy
-    key: tuple[int, int, int, int]
+    key: Key
     """(seed, rank, purpose, cycle), which differ wherever episodes should."""
     explores: bool = True
 

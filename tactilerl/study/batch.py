@@ -88,6 +88,19 @@ class Batch:
         return n_worlds(self.runs[0].config())
 
     @property
+    def replay_nbytes(self) -> int:
+        """About the memory that its replays take on the host at most, in bytes."""
+        config = self.runs[0].config()
+        size, steps = (
+            getattr(config.learner, "buffer_size", 0),
+            config.run.total_timesteps,
+        )
+        with closing(config.make_env()) as env:
+            width = flat_size(env.observation_space)
+        kept = min(2 * steps, size)  # episodes may be half as long
+        return 4 * width * kept * len(self.runs)
+
+    @property
     def nbytes(self) -> int:
         """About the memory that it takes on the device, in bytes."""
         config = self.runs[0].config()
@@ -155,10 +168,10 @@ def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list
     """
     batches, _ = form(runs)
     for one in batches:
-        n_runs, gigabytes = len(one.runs), one.nbytes / 1e9
+        n_runs, sizes = len(one.runs), (one.nbytes / 1e9, one.replay_nbytes / 1e9)
         console.print(
             f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds, about "
-            f"{gigabytes:.1f} GB"
+            f"{sizes[0]:.1f} GB on the device, and {sizes[1]:.1f} GB of memory for replays"
         )
     n = side_by_side or SIDE_BY_SIDE
     if device() != "loop" and batches:

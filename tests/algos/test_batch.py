@@ -217,6 +217,12 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
     assert many.play_best({}, 2) == {}
 
 
+def test_a_unit_that_hides_what_is_observed_is_told_in_a_batch():
+    learner = single("ddpg_her", replace(HER_CONFIG, clip_obs=0.01), 5, 0)
+    with pytest.warns(UserWarning, match="are cut there"):
+        batch.BatchDDPGHER([learner], PointBatch((0,), 2)).collect()
+
+
 def test_tests_are_as_many_as_asked_for(monkeypatch):
     monkeypatch.setattr(batch.rollout, "MAX_FAILURES", 2)
     learner = single("ppo", PPO_CONFIG, 5, 0)
