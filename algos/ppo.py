@@ -110,8 +110,8 @@ class PPOConfig(LearnerConfig):
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the paper's
     code, not in its text)."""
     undo_silent: bool = False
-    """Do not update the actor from epochs in which every episode fails alike, and undo the update after
-    which they do: a policy that meets no reward would go on learning from noise."""
+    """Do not update the actor from epochs in which every episode fails alike, and undo the update
+    before them. A policy that meets no reward would otherwise learn from noise."""
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""

@@ -62,15 +62,16 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of
     fingers close and open; grip: one action closes and opens the whole hand."""
     start_closing: Annotated[float, "[0, 1)"] = 0.2
-    """Share of the way that the hand is closed at the start, with --actions fingers or grip; 1: all."""
+    """How far the hand is closed at the start, from open (0) to closed (1), with --actions fingers or
+    grip."""
     finger_gain: Annotated[float, "(0, 100]"] = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: Annotated[float, "[1e-06, 0.1]"] = 0.004
     """Physics step, s."""
     skin_thickness: Annotated[float, "[0.002, 0.004]"] | None = None
-    """Thickness of a soft covering of the hand, m (MuJoCo); none by default."""
+    """Thickness of the soft outer part of the hand's links, m (MuJoCo); default: rigid links."""
     skin_modulus: Annotated[float, "[10000, 1000000]"] = 140_000.0
-    """Young's modulus of the covering, Pa: Dragon Skin 10's; Ecoflex 00-30 has 46000."""
+    """Young's modulus of the soft part, Pa. Default: Dragon Skin 10's; Ecoflex 00-30 has 46000."""
 
     def __post_init__(self) -> None:
         """Convert what JSON, TOML and NumPy have instead of these types."""

@@ -40,17 +40,17 @@ class TaxelFaults:
     taxel_stuck: Fraction = 0.0
     """Fraction of taxels that always fire; --hand-seed decides which."""
     taxel_threshold_spread: Fraction = 0.0
-    """Standard deviation of the threshold over the taxels, relative to it; --hand-seed draws it."""
+    """Standard deviation of the threshold between taxels, relative; drawn from --hand-seed."""
     taxel_saturates: Annotated[float, "(0, 1000]"] | None = None
-    """Largest force that a taxel reads, N, by --touch-rule force; default: none."""
+    """Largest force that a taxel reads, N; default: no limit. --touch-rule force."""
     taxel_noise: Newtons = 0.0
-    """Standard deviation of the noise of a reading, N, drawn at every step; --touch-rule force."""
+    """Standard deviation of the noise of a reading, N, drawn at every step. --touch-rule force."""
     taxel_gain_spread: Fraction = 0.0
-    """Standard deviation of the gain over the taxels, whose mean is 1; --hand-seed draws it.
-    --touch-rule force."""
+    """Standard deviation of the gain between taxels, around 1; drawn from --hand-seed. --touch-rule
+    force."""
     taxel_drift: Newtons = 0.0
-    """Drift of a taxel's zero, N a minute from the start of an episode, up or down as --hand-seed
-    decides; --touch-rule force."""
+    """Drift of a taxel's zero from the start of an episode, N/min; --hand-seed decides whether up or
+    down. --touch-rule force."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class SensorConfig(TaxelFaults):
     slide_noise_held: Metres = 0.0
     """Like --joint-noise-held, for the slides, m."""
     sensor: str = ""
-    """Sensor that all taxels are, by name or a .toml file: its numbers are the defaults of the
-    --taxel flags. Default: none, ideal taxels."""
+    """Sensor by name (`tactilerl env` lists them) or .toml file: its numbers are the defaults of the
+    --taxel flags. Default: ideal taxels."""
     taxel_radius: Annotated[float, "[0.0001, 0.02]"] | None = None
     """Radius of the taxels, m; default: what the layout says."""
     taxel_delay: Annotated[int, "[0, 10000]"] = 0

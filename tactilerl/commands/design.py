@@ -46,7 +46,7 @@ class Flags(DesignFlags):
     leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
     """Not on these segments or digits, named likewise."""
     out: Path | None = None
-    """Path for the layout: FILE.toml, or a folder for the layouts of all numbers, figures, JSON."""
+    """FILE.toml for one layout and its drawing, or a folder for all of them, a page and JSON."""
     overwrite: bool = False
     """Replace files of --out that are there."""
     json: bool = False

@@ -40,10 +40,10 @@ class EnvFlags:
     """List every entry of the observation and the action."""
     check: bool = False
     """Play scripted grasps and say which taxels fire while the object is held and which never do. The
-    exit code is 1 where a grasp does not hold, or no taxel fires in more than half of the time."""
+    exit code is 1 where a grasp does not hold, or for more than half of the time no taxel fires."""
     fit_sensor: tuple[Path, ...] = ()
-    """Print the file of a sensor, fitted to logs in which it is pressed and released, one for each
-    specimen of it: CSV with time,force_N,reading."""
+    """Print a sensor's file, fitted to logs in which it is pressed and released: CSV with
+    time,force_N,reading, a log for each specimen."""
     json: bool = False
     """Print JSON instead of text."""
 

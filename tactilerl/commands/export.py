@@ -13,8 +13,8 @@ from ..terminal import flags
 from ..terminal.console import console
 
 ABOUT = """\
-Write the policy of a run as an ONNX graph (extra: export). Its inputs are sensors by name, its
-outputs the action and the hand's joint targets. See docs/guides/real_hand.md.
+Write the policy of a run as an ONNX graph (extra: export). Its inputs are sensors by name,
+its outputs the action and the hand's joint targets. See docs/guides/real_hand.md.
 
 examples:
   tactilerl export runs/X

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class SceneFlag:
-    """A scene, which the other flags change."""
+    """A scene, whose values the other flags override."""
 
     scene: str = ""
     """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags override it."""

@@ -17,8 +17,8 @@ from ..terminal.epochs import learning_curve
 from .scene import SceneFlag, layout_notes, require_env
 
 ABOUT = """\
-Train a policy. --scene, --algo, --env and --recipe decide which other flags there are, and their
-defaults: those of the paper where neither a scene nor a recipe is given.
+Train a policy. --scene, --algo, --env and --recipe decide which other flags exist, and their
+defaults. Without a scene and a recipe, these are the paper's.
 
 examples:
   tactilerl train --scene handover
@@ -30,12 +30,12 @@ ALWAYS_SHOWN = {"algo", "env", "layout", "touch", "task", "total_timesteps", "se
 
 @dataclass(frozen=True)
 class TrainFlags(SceneFlag):
-    """Settings at which the other flags start."""
+    """What sets the defaults of the other flags."""
 
     recipe: str = ""
     """A set of hyperparameters (paper, steady, ...); default: the scene's, or paper."""
     resume: str = ""
-    """Folder of a run that is continued from its last full epoch."""
+    """Folder of a run to continue from its last full epoch."""
 
 
 def main(args: list[str]) -> int:

@@ -61,14 +61,13 @@ class DesignFlags:
     """Sensors, by name or .toml file: their radius, threshold, delay and price. With several, each has
     a table of its own, on the same starts."""
     budget: Annotated[float, "(0, inf)"] | None = None
-    """Money for taxels and boards, in the currency of the sensor's [cost]; the table shows what each
-    sum below it buys."""
+    """Money for taxels and boards, in the currency of the sensor's [cost]; the table also shows what
+    smaller sums buy."""
     boards: str = ""
     """What one board may serve: taxel, digit, segment, or a .toml file with a [[group]] for each;
-    default: all of the hand."""
+    default: the whole hand."""
     taxels: str = ""
-    """Number of taxels that the hand may have, or a range such as 1..12; default: 4, with --budget
-    1..12."""
+    """Number of taxels to place, or a range such as 1..12; default: 4, or 1..12 with --budget."""
     skin: str = "4mm"
     """Candidates: the spacing of a grid over all surfaces, a layout, or a layout file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
@@ -81,7 +80,7 @@ class DesignFlags:
     leave_out: tuple[str, ...] = ()
     """Not on these, named as for --only."""
     keep: str = ""
-    """A layout whose taxels the hand has already; they count."""
+    """A layout whose taxels the hand already has; the chosen ones are added to them."""
     taxel_threshold: tuple[Newtons, ...] = ()
     """Force from which a taxel fires, N; default: the sensor's, the scene's, or any touch. With
     several, there is a table for each."""
@@ -89,8 +88,8 @@ class DesignFlags:
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """Share by which the hand is closed while it waits (1: closed); default: the scene's. With several,
-    the best is used for each set of taxels."""
+    """How far the hand is closed while it waits, from open (0) to closed (1); default: the scene's.
+    With several, each set of taxels uses its best."""
     beside: tuple[str, ...] = tuple("123456")
     """Layouts to compare with."""
     starts: Annotated[int, "[1, 250000]"] = 200
