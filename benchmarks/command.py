@@ -95,6 +95,16 @@ def write(path: Path | None, result: Any) -> None:
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
+def measure_missing(path: Path | None, measures: dict[str, Callable[[], Any]]) -> dict[str, Any]:
+    """Return what is known of all `measures`; write after each that was not in the file."""
+    known = earlier(path)
+    for name, measure in measures.items():
+        if name not in known:
+            known[name] = measure()
+            write(path, known)
+    return known
+
+
 # -- tables and progress ---------------------------------------------------------------------
 
 

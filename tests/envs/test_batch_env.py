@@ -195,11 +195,7 @@ def test_noise_of_the_device_is_the_seeds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (dict(friction=0.5), "friction"),
-        (dict(simulator="pybullet"), "simulator"),
-    ],
+    ("change", "named"), [(dict(friction=0.5), "friction"), (dict(simulator="pybullet"), "simulator")]
 )
 def test_scenes_that_do_not_go_together_are_named(change: Any, named: str) -> None:
     first = config("mpl")

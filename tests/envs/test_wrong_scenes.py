@@ -20,10 +20,7 @@ WRONG = [
     ({"sight_noise": (0.01, 0.1)}, "sight_noise: found .* allowed only with object_seen noisy"),
     ({"object_seen": "hidden", "sight_noise_kind": "held"}, "sight_noise_kind: found held"),
     ({"object_seen": "noisy", "sight_noise": (-0.01, 0.1)}, "sight_noise: found -0.01"),
-    (
-        {"object_seen": "noisy", "sight_noise": (1.2, 0.1)},
-        r"sight_noise: found 1.2, .* \[0, 1\]",
-    ),
+    ({"object_seen": "noisy", "sight_noise": (1.2, 0.1)}, r"sight_noise: found 1.2, .* \[0, 1\]"),
     ({"object_seen": "noisy", "sight_noise": (0.01, 9.0)}, r"sight_noise: found 9.0, .* \[0, 3.14"),
     ({"taxel_false_on": 1.1}, r"taxel_false_on: found 1.1, allowed \[0, 1\]"),
     ({"taxel_dead": 0.6, "taxel_stuck": 0.6}, "taxel_stuck: found 1.2 with taxel_dead"),

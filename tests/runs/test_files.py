@@ -125,10 +125,7 @@ class TestCheckpoint:
     def test_bombs(self, ppo, capsys, pickled, how, words):
         """Files that are small and would become large, or run code."""
         torch.save({"format": 3, "x": torch.zeros(1000)}, "good.pt")
-        with (
-            zipfile.ZipFile("good.pt") as old,
-            zipfile.ZipFile(CHECKPOINT, "w", how) as new,
-        ):
+        with zipfile.ZipFile("good.pt") as old, zipfile.ZipFile(CHECKPOINT, "w", how) as new:
             for name in old.namelist():
                 new.writestr(name, pickled if name.endswith("data.pkl") else old.read(name))
         fails_with(capsys, RESUME, "checkpoint.pt", words)
