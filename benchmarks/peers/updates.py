@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from functools import partial
 from typing import Any
 
@@ -17,7 +16,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
 
-from benchmarks.command import Contender, contest, markdown, rounds
+from benchmarks.command import Contender, contest, markdown
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3
@@ -176,10 +175,7 @@ def updates() -> dict[str, Any]:
         "relabelled transitions": {OURS: our_samples, THEIRS: sb3_samples},
     }
     return {
-        title: contest(
-            rounds(contenders, time.process_time),
-            *((name, THEIRS) for name in contenders if name != THEIRS),
-        )
+        title: contest(contenders, *((name, THEIRS) for name in contenders if name != THEIRS))
         for title, contenders in contests.items()
     }
 

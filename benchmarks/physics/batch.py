@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import gc
 import json
-import multiprocessing
-import os
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -31,7 +29,7 @@ from tactilerl import envs
 from tactilerl.envs.batch import BatchEnv
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
-from benchmarks.command import DATA, count, on_one_thread, parser
+from benchmarks.command import DATA, count, on_one_thread, parser, processes
 
 CHOSEN = {"mpl": "anywhere_8", "shadow": "shadow_anywhere_8", "allegro": "allegro_anywhere_8"}
 WORLDS = {"mpl": 16_384, "shadow": 8_192, "allegro": 8_192}
@@ -281,7 +279,7 @@ def main() -> None:
     seeds = [SEED + i for i in range(n)]
     cut = 2 if small else 125
     few = seeds[: 2 if small else 256]
-    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+    with processes(None) as pool:
         plain = {
             hand: {
                 layout: [pool.submit(alone, hand, path, seeds[i : i + cut]) for i in range(0, n, cut)]

@@ -58,12 +58,12 @@ def not_finite(rng: np.random.Generator, n: int) -> np.ndarray:
 
 def squeeze(rng: np.random.Generator, n: int) -> np.ndarray:
     """Close all digits as hard as possible, where the hand is."""
-    return np.concatenate([np.zeros(3), np.ones(n - 3)])
+    return np.array(3 * [0.0] + (n - 3) * [1.0])
 
 
 def press(rng: np.random.Generator, n: int) -> np.ndarray:
     """Press down, on the object and into the ground."""
-    return np.concatenate([[0.0, 0.0, -1.0], np.zeros(n - 3)])
+    return -np.eye(n)[2]
 
 
 @dataclass(frozen=True)
