@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import platform
 import statistics
 import time
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,8 +20,6 @@ T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]  # where `python -m benchmarks` runs
 DOCS = ROOT / "docs"
 DATA = DOCS / "data"
-Part = tuple[Callable[[], dict[str, Any]], Callable[[dict[str, Any]], None]]
-"""What measures a part of a benchmark, and what shows what came out."""
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
@@ -45,29 +41,9 @@ def count(text: str) -> int:
     return int(text)
 
 
-def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -> None:
-    """Run all parts of a benchmark, or the one that is asked for, on one thread.
-
-    Writes results, the machine and versions of `packages` as JSON; other parts in the file stay.
-    """
-    flags = parser(description)
-    flags.add_argument("--only", choices=parts, help="one part instead of all")
-    options = flags.parse_args()
-    on_one_thread()
-    result = earlier(options.out) | {
-        "machine": {"processor": platform.processor() or platform.machine(), "threads": 1},
-        "versions": {name: version(name) for name in packages},
-    }
-    for name in [options.only] if options.only else parts:
-        measure, display = parts[name]
-        result[name] = measure()
-        display(result[name])
-    write(options.out, result)
-
-
-def processes(n: int, begin: Callable[[], None] | None = None) -> ProcessPoolExecutor:
+def processes(n: int | None) -> ProcessPoolExecutor:
     """Return a pool of `n` fresh processes, which share nothing with this one."""
-    return ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), begin)
+    return ProcessPoolExecutor(n, multiprocessing.get_context("spawn"))
 
 
 def on_one_thread() -> None:
@@ -95,6 +71,16 @@ def write(path: Path | None, result: Any) -> None:
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
+def measure_missing(path: Path | None, measures: dict[str, Callable[[], Any]]) -> dict[str, Any]:
+    """Return what is known of all `measures`; write after each that was not in the file."""
+    known = earlier(path)
+    for name, measure in measures.items():
+        if name not in known:
+            known[name] = measure()
+            write(path, known)
+    return known
+
+
 # -- tables and progress ---------------------------------------------------------------------
 
 
@@ -120,23 +106,20 @@ def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterabl
 ROUNDS = 7
 Contender = Callable[[], int]
 """Works once, and returns how many items it did."""
-Clock = Callable[[], float]
-"""`time.perf_counter`; for work of one process and thread `time.process_time`, which stands still
-while the machine does something else."""
 
 
-def per_second(run: Contender, clock: Clock = time.perf_counter) -> float:
-    """Return the items done per second of one call."""
-    started = clock()
-    return run() / (clock() - started)
+def contest(contenders: dict[str, Contender], *pairs: tuple[str, str]) -> dict[str, Any]:
+    """Return median rates, and for each pair of names the ratio of the first to the second.
 
+    Contenders take turns, after a round to warm up. Seconds are the processor's, which stand still
+    while the machine does something else.
+    """
 
-def rounds(contenders: dict[str, Contender], clock: Clock = time.perf_counter) -> dict[str, float]:
-    """Return the median rate of each contender; they take turns, after a round to warm up."""
-    turns = [[per_second(run, clock) for run in contenders.values()] for _ in range(ROUNDS + 1)]
-    return dict(zip(contenders, map(statistics.median, zip(*turns[1:], strict=True)), strict=True))
+    def per_second(run: Contender) -> float:
+        started = time.process_time()
+        return run() / (time.process_time() - started)
 
-
-def contest(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, Any]:
-    """Return rates, and for each pair of names the ratio of the first to the second."""
+    turns = [[per_second(run) for run in contenders.values()] for _ in range(ROUNDS + 1)]
+    medians = map(statistics.median, zip(*turns[1:], strict=True))
+    rates = dict(zip(contenders, medians, strict=True))
     return {"per_s": rates, "ratios": {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}}

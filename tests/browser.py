@@ -29,9 +29,7 @@ class Browser:
         flags += " --disable-ipc-flooding-protection"  # which drops addresses of quick clicks
         redirected = f"exec {CHROMIUM} {flags} 3<&{read_theirs} 4>&{write_theirs}"
         self._process = subprocess.Popen(
-            ["bash", "-c", redirected],
-            pass_fds=(read_theirs, write_theirs),
-            stderr=subprocess.DEVNULL,
+            ["bash", "-c", redirected], pass_fds=(read_theirs, write_theirs), stderr=subprocess.DEVNULL
         )
         os.close(read_theirs), os.close(write_theirs)
         self._numbers, self._rest, self._session = itertools.count(1), b"", {}

@@ -481,18 +481,3 @@ class TestExamples:
         result = python(str(path), "--steps", "60", MUJOCO_GL="egl", TMPDIR=str(tmp_path))
         assert result.returncode == 0, result.stderr
         assert "tactilerl: error" not in result.stderr, result.stderr
-
-
-@pytest.mark.parametrize(
-    ("call", "name"),
-    [
-        (lambda: tactilerl.load_policy(None), "path"),
-        (lambda: tactilerl.train(resume=3), "resume"),
-        (lambda: tactilerl.train(out=3), "out"),
-        (lambda: tactilerl.train(out=""), "out"),
-        (lambda: tactilerl.PPO("lqr").learn(1, callback=3), "callback"),
-    ],
-)
-def test_an_argument_of_another_type_is_one_line(call, name):
-    with pytest.raises(ValueError, match=f"^{name}: found "):
-        call()

@@ -52,18 +52,11 @@ def test_envs_and_algos_import_neither_each_other_nor_the_application(layer):
             assert level <= depth, f"{path}: reaches out of {layer}"
 
 
-def application():
-    """Modules of the application by name, and the names of those that each imports at any depth."""
-    files = [p.relative_to(ROOT) for p in sources("tactilerl")]
-    named = {".".join(p.with_suffix("").parts).removesuffix(".__init__"): p for p in files}
-    return {name: set(_imported(path, named)) for name, path in named.items()}
-
-
-def package_modules(package):
-    """Return the modules of envs or algos by name, and those that each imports, for types too."""
+def modules_of(package):
+    """Modules of a package by name, and the names of those that each imports, for types too."""
     files = [path.relative_to(ROOT) for path in sources(package)]
     named = {".".join(p.with_suffix("").parts).removesuffix(".__init__"): p for p in files}
-    return {name: {*_imported(p, named)} & named.keys() - {name} for name, p in named.items()}
+    return {name: {*_imported(path, named)} - {name} for name, path in named.items()}
 
 
 def _imported(path, named):
@@ -80,7 +73,7 @@ def room(module):
 
 
 def test_rooms_use_only_those_below_them():
-    for module, imported in application().items():
+    for module, imported in modules_of("tactilerl").items():
         for other in imported:
             above = ROOMS.index(room(other)) > ROOMS.index(room(module))
             assert not above, f"{module} imports {other}"
@@ -88,8 +81,7 @@ def test_rooms_use_only_those_below_them():
 
 @pytest.mark.parametrize("package", ["tactilerl", "envs", "algos"])
 def test_no_module_imports_itself_by_way_of_others(package):
-    modules = application() if package == "tactilerl" else package_modules(package)
-    graphlib.TopologicalSorter(modules).prepare()
+    graphlib.TopologicalSorter(modules_of(package)).prepare()
 
 
 def test_there_are_at_most_ten_rooms():
@@ -107,8 +99,8 @@ def test_third_party_packages_stay_where_they_belong():
 
 
 def test_ppo_is_read_in_six_files():
-    modules, seen, todo = package_modules("algos"), set(), {"algos.ppo"}
+    modules, seen, todo = modules_of("algos"), set(), {"algos.ppo"}
     while todo:
         seen |= todo
-        todo = set().union(*(modules[name] for name in todo)) - seen
+        todo = set().union(*(modules[name] for name in todo)) & modules.keys() - seen
     assert len(seen - {"algos"}) <= 6, seen

@@ -54,17 +54,17 @@ HOLM = [
 
 
 class TestRates:
-    def test_converged_rate_is_the_level_where_the_curve_stays(self):
-        curve = [0.0, 0.1, 0.35, 0.61, 0.62, 0.61, 0.9]  # 0.62 is the next bin
-        assert s.converged_rate(np.array(curve)) == pytest.approx(0.61)
-
-    def test_of_equally_full_bins_the_last_one_visited(self):
-        assert s.converged_rate(np.array([0.9, 0.9, 0.1, 0.1])) == pytest.approx(0.1)
-        assert s.converged_rate(np.array([0.1, 0.1, 0.9, 0.9])) == pytest.approx(0.9)
-
-    def test_a_rate_on_an_edge_belongs_to_the_bin_above(self):
-        curve = np.array([0.58, 0.5999, 0.57])
-        assert s.converged_rate(curve) == pytest.approx(np.mean([0.58, 0.5999]))
+    @pytest.mark.parametrize(
+        ("curve", "rate"),
+        [
+            ([0.0, 0.1, 0.35, 0.61, 0.62, 0.61, 0.9], 0.61),  # 0.62 is the next bin
+            ([0.9, 0.9, 0.1, 0.1], 0.1),  # of equally full bins the last one visited
+            ([0.1, 0.1, 0.9, 0.9], 0.9),
+            ([0.58, 0.5999, 0.57], 0.58995),  # an edge belongs to the bin above
+        ],
+    )
+    def test_converged_rate_is_the_level_where_the_curve_stays(self, curve, rate):
+        assert s.converged_rate(np.array(curve)) == pytest.approx(rate)
 
     def test_the_end_is_the_mean_of_the_last_fifth(self):
         assert s.end_rate(np.arange(20.0)) == pytest.approx(17.5)

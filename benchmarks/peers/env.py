@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from types import SimpleNamespace
@@ -14,7 +13,7 @@ import mujoco
 import numpy as np
 from tactilerl import envs
 
-from benchmarks.command import Contender, contest, markdown, rounds
+from benchmarks.command import Contender, contest, markdown
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
 STEPS = 250
@@ -132,9 +131,8 @@ def environments() -> dict[str, Any]:
 def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str, Any]:
     """Return all rates, ratios of ours to the others', and of each layout to the one before."""
     contenders = {name: steps.ours for name, steps in ours.items()} | others
-    rates = rounds(contenders, time.process_time)
     pairs = (*itertools.product(ours, others), *((b, a) for a, b in itertools.pairwise(ours)))
-    return contest(rates, *pairs)
+    return contest(contenders, *pairs)
 
 
 def show(scenes: dict[str, Any]) -> None:

@@ -10,17 +10,33 @@ processor's time; what counts are the ratios. Prints tables and writes JSON:
 
 from __future__ import annotations
 
-from benchmarks.command import Part, run_parts
+import platform
+from importlib.metadata import version
+
+from benchmarks.command import earlier, on_one_thread, parser, write
 from benchmarks.peers import env, solve, updates
 
-PARTS: dict[str, Part] = {
+PARTS = {
     "env": (env.environments, env.show),
     "updates": (updates.updates, updates.show),
     "solve": (solve.solve, solve.show),
 }
 
+PACKAGES = "mujoco", "pybullet", "torch", "numpy", "gymnasium-robotics", "stable_baselines3"
+
 
 def main() -> None:
     """Measure all parts, or one."""
-    packages = ("mujoco", "pybullet", "torch", "numpy", "gymnasium-robotics", "stable_baselines3")
-    run_parts(__doc__, PARTS, *packages)
+    flags = parser(__doc__)
+    flags.add_argument("--only", choices=PARTS, help="one part instead of all")
+    options = flags.parse_args()
+    on_one_thread()
+    result = earlier(options.out) | {
+        "machine": {"processor": platform.processor() or platform.machine(), "threads": 1},
+        "versions": {name: version(name) for name in PACKAGES},
+    }
+    for name in [options.only] if options.only else PARTS:
+        measure, show = PARTS[name]
+        result[name] = measure()
+        show(result[name])
+    write(options.out, result)

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -24,22 +25,28 @@ import numpy as np
 import stable_baselines3 as sb3
 import torch
 from scipy import stats
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
 from benchmarks.command import interval, markdown, progress
-from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb3_ddpg
 
 SEEDS = range(6)
+FIRST_START = 10_000_000  # not a start of training
+Act = Callable[[Any], np.ndarray]
+"""Observation -> action without exploration."""
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
     action_variance=0.02, orthogonal_init=True, anneal_lr=True,
     steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap",
 )  # fmt: skip
 DDPG_CONFIG = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
-their_ddpg = partial(sb3_ddpg, config=DDPG_CONFIG, max_steps=PointReachEnv.max_episode_steps)
 OURS, THEIRS = "tactilerl", "stable-baselines3"
 
 
@@ -53,30 +60,54 @@ class Run:
     is_solved: bool = False
     _since: float = field(default_factory=time.process_time)
 
-    def look(self, steps: int, act: Act) -> bool:
-        """Return whether it is solved; plays `act` every `toy.every` steps."""
+    def look(self, steps: int, act: Act) -> None:
+        """Play `act` every `toy.every` steps."""
         if steps - self.steps >= self.toy.every:
             self.seconds += time.process_time() - self._since
             self.steps, self.is_solved = steps, self.toy.is_solved(act)
             self._since = time.process_time()
-        return self.is_solved
 
 
 def ours(toy: Toy, seed: int) -> Run:
     """Train our learner until it has solved the toy."""
-    make = partial(envs.make, toy.name)
-    learners = learn(toy.kind, toy.config, make, seed, toy.cap)
-    next(learners)
-    run = Run(toy)
-    for learner in learners:
-        if run.look(learner.env_steps, learner.policy().act):
-            break
+    with closing(vector.start(partial(envs.make, toy.name))) as workers:
+        learner = toy.kind(toy.config, workers, Communicator(), seed, toy.cap)
+        run = Run(toy)
+        while learner.env_steps < toy.cap and not run.is_solved:
+            learner.collect()
+            learner.update()
+            run.look(learner.env_steps, learner.policy().act)
     return run
+
+
+class Looks(BaseCallback):
+    """Look wherever Stable-Baselines3 is about to collect, and at the end."""
+
+    def __init__(self, toy: Toy) -> None:
+        super().__init__()
+        self.toy = toy
+
+    def act(self, obs: Any) -> np.ndarray:
+        """Return the action for one observation, normalized where the learner's are."""
+        if normalizer := self.model.get_vec_normalize_env():
+            obs = normalizer.normalize_obs(obs)
+        return self.model.predict(obs, deterministic=True)[0]
+
+    def _on_training_start(self) -> None:
+        self.run = Run(self.toy)
+
+    def _on_rollout_start(self) -> None:
+        self.run.look(self.num_timesteps, self.act)
+
+    _on_training_end = _on_rollout_start
+
+    def _on_step(self) -> bool:
+        return not self.run.is_solved
 
 
 def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
     """Train a learner of Stable-Baselines3 until it has solved the toy."""
-    looks = Looks(partial(Run, toy))
+    looks = Looks(toy)
     make(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
     return looks.run
 
@@ -97,6 +128,34 @@ def their_ppo(env: Any, seed: int) -> Any:
     )  # fmt: skip
     model.policy.log_std.requires_grad_(False)
     return model
+
+
+def their_ddpg(env: Any, seed: int, normalize: bool = False) -> Any:
+    """Return Stable-Baselines3's DDPG with its HER buffer as DDPG_CONFIG."""
+    config = DDPG_CONFIG
+    if normalize:
+        env = VecNormalize(DummyVecEnv([lambda: env]), norm_reward=False, clip_obs=config.norm_clip)
+    none = np.zeros(env.action_space.shape)
+    return sb3.DDPG(
+        "MultiInputPolicy", env, learning_rate=config.actor_lr, buffer_size=config.buffer_size,
+        batch_size=config.batch_size, tau=1.0 - config.polyak ** (1.0 / config.n_batches),
+        gamma=1.0 - 1.0 / PointReachEnv.max_episode_steps, gradient_steps=config.n_batches,
+        train_freq=(config.n_rollouts, "episode"),
+        action_noise=NormalActionNoise(none, none + config.noise_eps),
+        replay_buffer_class=sb3.HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
+        policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
+    )  # fmt: skip
+
+
+def play(env: Any, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
+    """Yield return and success of each episode without exploration."""
+    for index in range(episodes):
+        obs, _ = env.reset(seed=FIRST_START + index)
+        total, is_done = 0.0, False
+        while not is_done:
+            obs, reward, terminated, truncated, info = env.step(act(obs))
+            total, is_done = total + float(reward), terminated or truncated
+        yield total, float(info.get("is_success", np.nan))
 
 
 def is_near_optimal(act: Act, episodes: int = 20) -> bool:

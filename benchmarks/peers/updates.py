@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import itertools
-import time
 from functools import partial
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import stable_baselines3 as sb3
 import torch
 from stable_baselines3.common.logger import Logger
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs import vector
 
-from benchmarks.command import Contender, contest, markdown, rounds
-from benchmarks.peers.random_goals import GOAL, STEPS, RandomGoals, fed
+from benchmarks.command import Contender, contest, markdown
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3
@@ -26,7 +27,44 @@ PASSES = 8
 # DDPG+HER on the Shadow Hand, layout 1; sizes of observations count the goal.
 DDPG_BATCH, DDPG_OBS, DDPG_ACTIONS = 256, 200, 23
 EPISODES = 50  # in the replay
+GOAL, STEPS = 3, 100  # of the goals, and of an episode
 PPO_SIZES, DDPG_SIZES = (PPO_OBS - GOAL, PPO_ACTIONS), (DDPG_OBS - GOAL, DDPG_ACTIONS)
+
+
+class RandomGoals(gym.Env[Any, Any]):
+    """Random numbers in the right shapes; `n_obs` does not count the goals."""
+
+    max_episode_steps, n_boolean = STEPS, 0
+
+    def __init__(self, n_obs: int, n_actions: int) -> None:
+        sizes = {"observation": n_obs, "achieved_goal": GOAL, "desired_goal": GOAL}
+        boxes = {k: gym.spaces.Box(-np.inf, np.inf, (n,), np.float32) for k, n in sizes.items()}
+        self.observation_space = gym.spaces.Dict(boxes, seed=0)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Return a random observation."""
+        self.steps = 0
+        return self.observation_space.sample(), {}
+
+    def step(self, action: Any) -> Any:
+        """Return another observation, with its reward."""
+        self.steps += 1
+        obs = self.observation_space.sample()
+        reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
+        return obs, reward, False, self.steps >= STEPS, {}
+
+    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
+        """Return 0 where the goal is reached, and −1 elsewhere."""
+        return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
+
+
+def fed(kind: Any, config: Any, n_obs: int, n_actions: int) -> Any:
+    """Return a learner of this kind that has collected there once."""
+    workers = vector.start(partial(RandomGoals, n_obs, n_actions))
+    learner = kind(config, workers, Communicator(), 0, 10**6)
+    learner.collect()
+    return learner
 
 
 def sb3_ppo() -> Contender:
@@ -137,10 +175,7 @@ def updates() -> dict[str, Any]:
         "relabelled transitions": {OURS: our_samples, THEIRS: sb3_samples},
     }
     return {
-        title: contest(
-            rounds(contenders, time.process_time),
-            *((name, THEIRS) for name in contenders if name != THEIRS),
-        )
+        title: contest(contenders, *((name, THEIRS) for name in contenders if name != THEIRS))
         for title, contenders in contests.items()
     }
 

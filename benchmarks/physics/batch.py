@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import gc
 import json
-import multiprocessing
-import os
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -31,7 +29,7 @@ from tactilerl import envs
 from tactilerl.envs.batch import BatchEnv
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
-from benchmarks.command import DATA, count, on_one_thread, parser
+from benchmarks.command import DATA, count, on_one_thread, parser, processes
 
 CHOSEN = {"mpl": "anywhere_8", "shadow": "shadow_anywhere_8", "allegro": "allegro_anywhere_8"}
 WORLDS = {"mpl": 16_384, "shadow": 8_192, "allegro": 8_192}
@@ -157,6 +155,8 @@ def compare_taxels(env: BatchEnv, plain: list[GraspEnv], n: int, compared: int) 
 
 def _ends(env: Any, states: Callable[[], Any]) -> Any:
     """Return where objects are in the hand after each step of a hand that closes, (steps, n, 3)."""
+    task = env.task
+    task.sets_off, env.max_episode_steps, task.settles, task.fallen = 20, 10**6, 10**6, 10.0
     places = []
     for step in range(45):
         env.step(np.full(env.action_space.shape, -0.1 if step < 38 else 1.0))
@@ -172,8 +172,6 @@ def reference(hand: str, timestep: float, seeds: list[int]) -> Any:
     env.simulator.model.opt.iterations, rows = 100, []
     for seed in seeds:
         env.reset(seed=seed)
-        env.task.sets_off, env.max_episode_steps, env.task.settles = 20, 10**6, 10**6
-        env.task.fallen = 10.0
         rows.append(_ends(env, lambda: env.state)[:, 0])
     return np.array(rows).swapaxes(0, 1)
 
@@ -194,20 +192,20 @@ def physics(
         hand, [(setting(hand, timestep), len(seeds))], device, AutoresetMode.DISABLED, **options
     )
     env.reset(seed=seeds)
-    task: Any = env.task
-    task.sets_off, env.max_episode_steps, task.settles, task.fallen = 20, 10**6, 10**6, 10.0
     start = time.perf_counter()
     places = _ends(env, lambda: env._look()[1])
     seconds = (time.perf_counter() - start) / len(places)
-    far = np.linalg.norm(places - right, axis=2)[28:]  # from touch on
-    row = {"worlds": len(seeds), "step_ms": 1e3 * seconds, "median_mm": 1e3 * float(np.median(far))}
     kept, right_kept = (np.linalg.norm(p[-1], axis=1) < 0.12 for p in (places, right))
-    row |= {
-        "p90_mm": 1e3 * float(np.quantile(far, 0.9)),
-        "same_outcome": float((kept == right_kept).mean()),
-    }
+    row = {"worlds": len(seeds), "step_ms": 1e3 * seconds, **errors(places, right)}
+    row |= {"same_outcome": float((kept == right_kept).mean())}
     env.close()
     return row | {"diverged": env.n_diverged, "no_room": env.n_overflowed}
+
+
+def errors(places: Any, right: Any) -> dict[str, float]:
+    """Return how far objects are from where they should be, from touch on."""
+    far = 1e3 * np.linalg.norm(places - right, axis=2)[28:]
+    return {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))}
 
 
 class Rows:
@@ -248,21 +246,17 @@ def score(
         part = row["layouts"][name]
         results = np.array([pair for future in futures for pair in future.result()], float)
         mine = np.array([part.pop("held"), part.pop("felt")], float).T
-        difference = mine - results
-        for column, what in enumerate(("success", "felt")):
-            gap = difference[:, column]
-            part |= {what: mine[:, column].mean(), f"{what}_mujoco": results[:, column].mean()}
+        for what, ours, theirs in zip(("success", "felt"), mine.T, results.T, strict=True):
+            gap = ours - theirs
             part |= {
+                what: ours.mean(),
+                f"{what}_mujoco": theirs.mean(),
                 f"{what}_difference": gap.mean(),
-                f"{what}_ci95": 1.96 * gap.std() / len(gap) ** 0.5,
             }
-        part["same_outcome"] = float((difference[:, 0] == 0).mean())
-    flat = {
-        f"{name}: {what}": round(value, 4)
-        for name, part in row["layouts"].items()
-        for what, value in part.items()
-    }
-    return {**row, **flat}
+            part[f"{what}_ci95"] = 1.96 * gap.std() / len(gap) ** 0.5
+        part["same_outcome"] = float((mine[:, 0] == results[:, 0]).mean())
+        row |= {f"{name}: {what}": round(value, 4) for what, value in part.items()}
+    return row
 
 
 def main() -> None:
@@ -285,7 +279,7 @@ def main() -> None:
     seeds = [SEED + i for i in range(n)]
     cut = 2 if small else 125
     few = seeds[: 2 if small else 256]
-    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+    with processes(None) as pool:
         plain = {
             hand: {
                 layout: [pool.submit(alone, hand, path, seeds[i : i + cut]) for i in range(0, n, cut)]
@@ -294,12 +288,11 @@ def main() -> None:
             for hand in hands
             if json.dumps(["success", hand, name]) not in rows._keys
         }
-        exact = [
-            pool.submit(reference, hands[0], 0.001, few[i : i + 16]) for i in range(0, len(few), 16)
-        ]
-        coarse = [
-            pool.submit(reference, hands[0], 0.004, few[i : i + 16]) for i in range(0, len(few), 16)
-        ]
+        parts = [few[i : i + 16] for i in range(0, len(few), 16)]
+        exact, coarse = (
+            [pool.submit(reference, hands[0], timestep, part) for part in parts]
+            for timestep in (0.001, 0.004)
+        )
         for hand in hands:  # kernels compile for minutes, while the pool plays
             size = options.worlds or WORLDS[hand]
             rows(["speed", hand, name], partial(speed, hand, device, size, 3 if small else 40))
@@ -308,15 +301,10 @@ def main() -> None:
                 ["success", hand, name],
                 partial(score, hand, device, n, 2 if small else 100, plain[hand]),
             )
-        right = np.concatenate([future.result() for future in exact], 1)
-        usual = np.concatenate([future.result() for future in coarse], 1)
-        far = 1e3 * np.linalg.norm(usual - right, axis=2)[28:]
-        errors = {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))}
-        rows(["settings", hands[0], "MuJoCo", 4, 100], lambda: errors)
+        right, usual = (
+            np.concatenate([future.result() for future in futures], 1) for futures in (exact, coarse)
+        )
+        rows(["settings", hands[0], "MuJoCo", 4, 100], partial(errors, usual, right))
         for ms, iterations in SETTINGS[: 1 if small else None]:
             measure = partial(physics, hands[0], device, ms / 1000, iterations, few, right)
             rows(["settings", hands[0], name, ms, iterations], measure)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from unittest import mock
 
@@ -22,7 +23,7 @@ from tactilerl.envs.layouts import Taxels
 from tactilerl.envs.simulators import mujoco as simulator
 from tactilerl.pictures import places
 
-from benchmarks.command import earlier, markdown, parser, progress, write
+from benchmarks.command import markdown, measure_missing, parser, progress
 
 HANDS, SCENES = ("mpl", "shadow", "allegro"), ("handover", "handover_anywhere")
 STARTS, TAXELS = 10, 12
@@ -110,10 +111,6 @@ def show(known: dict[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     """Play what is missing, then print the table."""
-    options = parser(__doc__).parse_args()
-    known = earlier(options.out)
-    for hand, scene in itertools.product(HANDS, SCENES):
-        if (key := f"{hand}, {scene}") not in known:
-            known[key] = compare(hand, scene)
-            write(options.out, known)
-    show(known)
+    pairs = itertools.product(HANDS, SCENES)
+    measures = {f"{hand}, {scene}": partial(compare, hand, scene) for hand, scene in pairs}
+    show(measure_missing(parser(__doc__).parse_args().out, measures))

@@ -110,14 +110,9 @@ def _in(simulator: str, command: Any) -> dict[str, Any]:
         return {"failed": _failure(code, said)}
     described = json.loads(next(line for line in said.splitlines() if line.startswith("{")))
     check = described["check"]
-    felt = {
-        "held": check["held"],
-        "grasps": check["grasps"],
-        "mean_bits": check["mean_fired"],
-        "taxels": described["taxels"],
-    }
+    felt = {"held": check["held"], "grasps": check["grasps"], "mean_bits": check["mean_fired"]}
     code, said = command("train", *here, *TRAIN, "--out", simulator)
-    return {**felt, "untrained": _failure(code, said)}
+    return {**felt, "taxels": described["taxels"], "untrained": _failure(code, said)}
 
 
 def _command(folder: str, seconds: float, *arguments: str) -> tuple[int | None, str]:
@@ -176,12 +171,9 @@ def main() -> None:
     options = flags.parse_args()
     result = {"steps": STEPS, "guesses": {}, "runs": {}} | earlier(options.out)
     models = {name: found_model(hand["model"], options.models) for name, hand in HANDS.items()}
-    for name, model in models.items():
-        if model and name not in result["guesses"]:
-            result["guesses"][name] = guess(model)
-            write(options.out, result)
-    for name, model in models.items():
-        if model and name not in result["runs"]:
-            result["runs"][name] = measure(options.seconds, model)
-            write(options.out, result)
+    for part, look in (("guesses", guess), ("runs", partial(measure, options.seconds))):
+        for name, model in models.items():
+            if model and name not in result[part]:
+                result[part][name] = look(model)
+                write(options.out, result)
     show(result)

@@ -13,6 +13,7 @@ goes, into what is there already:
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Callable
 from contextlib import closing
@@ -25,6 +26,7 @@ from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 from benchmarks.command import count, earlier, markdown, parser, write
 from benchmarks.physics.contacts import deepest
 
+HANDS, SIMULATORS = ("shadow", "mpl"), ("mujoco", "pybullet")
 SEED = 50_000
 EPISODE = 50  # steps
 Policy = Callable[[np.random.Generator, int], np.ndarray]
@@ -56,12 +58,12 @@ def not_finite(rng: np.random.Generator, n: int) -> np.ndarray:
 
 def squeeze(rng: np.random.Generator, n: int) -> np.ndarray:
     """Close all digits as hard as possible, where the hand is."""
-    return np.concatenate([np.zeros(3), np.ones(n - 3)])
+    return np.array(3 * [0.0] + (n - 3) * [1.0])
 
 
 def press(rng: np.random.Generator, n: int) -> np.ndarray:
     """Press down, on the object and into the ground."""
-    return np.concatenate([[0.0, 0.0, -1.0], np.zeros(n - 3)])
+    return -np.eye(n)[2]
 
 
 @dataclass(frozen=True)
@@ -199,23 +201,22 @@ def begin(env: GraspEnv, seed: int, start: float | None) -> None:
 def main() -> int:
     """Play all cases of every hand in every simulator, or those that flags name."""
     flags = parser(__doc__)
-    flags.add_argument("--hand", choices=("shadow", "mpl"), action="append")
-    flags.add_argument("--simulator", choices=("mujoco", "pybullet"), action="append")
+    flags.add_argument("--hand", choices=HANDS, action="append")
+    flags.add_argument("--simulator", choices=SIMULATORS, action="append")
     flags.add_argument("--case", choices=CASES, action="append")
     flags.add_argument("--steps", type=count, default=1000, help="control steps of each case")
     options = flags.parse_args()
     result = earlier(options.out)
     is_ok = True
-    for hand in options.hand or ("shadow", "mpl"):
-        for simulator in options.simulator or ("mujoco", "pybullet"):
-            pair = f"{hand} in {simulator}"
-            rows = result.setdefault(pair, {})
-            for name in options.case or CASES:
-                rows[name] = run(hand, simulator, CASES[name], options.steps)
-                write(options.out, result)
-                if not rows[name]["ok"]:
-                    is_ok = False
-                    print(f"{pair}, {name}: left its limits")
+    hands, simulators = options.hand or HANDS, options.simulator or SIMULATORS
+    for hand, simulator, name in itertools.product(hands, simulators, options.case or CASES):
+        pair = f"{hand} in {simulator}"
+        row = run(hand, simulator, CASES[name], options.steps)
+        result.setdefault(pair, {})[name] = row
+        write(options.out, result)
+        if not row["ok"]:
+            is_ok = False
+            print(f"{pair}, {name}: left its limits")
     show(result)
     return 0 if is_ok else 1
 

@@ -112,11 +112,7 @@ def disturbed(hand: str, simulator: str) -> Source:
 
 
 def measure(
-    hand: str,
-    choices: dict[str, Any],
-    policy: Policy,
-    holds: int,
-    tests: dict[str, dict[str, Any]],
+    hand: str, choices: dict[str, Any], policy: Policy, holds: int, tests: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
     """Return verdicts and times of `holds` lifts by `tests`, which have fields of HoldTest."""
     world = [Watched(envs.make(hand, **choices), test) for test in tests.values()]

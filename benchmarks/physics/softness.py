@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.skin import RADIUS
 
-from benchmarks.command import earlier, markdown, parser, write
+from benchmarks.command import markdown, measure_missing, parser
 from benchmarks.physics.contacts import deepest
 
 SKINS: dict[str, dict[str, float]] = {
@@ -50,15 +51,10 @@ def depth(force: float, **skin: float) -> float:
 
 def sphere(mass: float, timestep: float = 1, **skin: float) -> GraspEnv:
     """Return the MPL hand without gravity beside a sphere of a fingertip's radius."""
-    shipped = setup("mpl", simulator="mujoco")
-    env = GraspEnv(
-        "mpl",
-        setup(
-            "mpl", simulator="mujoco", object="sphere", object_size=2 * RADIUS,
-            object_density=mass / (4 / 3 * np.pi * RADIUS**3), timestep=timestep * shipped.timestep,
-            control_dt=timestep * shipped.control_dt, **skin,
-        ),
-    )  # fmt: skip
+    shipped, density = setup("mpl", simulator="mujoco"), mass / (4 / 3 * np.pi * RADIUS**3)
+    times = {name: timestep * getattr(shipped, name) for name in ("timestep", "control_dt")}
+    thing = {"object": "sphere", "object_size": 2 * RADIUS, "object_density": density}
+    env = GraspEnv("mpl", setup("mpl", simulator="mujoco", **thing, **times, **skin))
     env.simulator.model.opt.gravity[:] = 0.0
     return env
 
@@ -107,22 +103,21 @@ def held(hand: str, **skin: float) -> dict[str, Any]:
     return {"holds": holds, "slip": float(np.median(slips)), "depth": float(np.median(depths))}
 
 
+def measure(skin: dict[str, float]) -> dict[str, Any]:
+    """Return all that is measured of a skin."""
+    steps = itertools.product(MASSES, TIMESTEPS)
+    return {
+        "law": [depth(force, **skin) for force in FORCES] if skin else None,
+        "depths": {str(mass): pressed(mass, **skin) for mass in MASSES},
+        "rebound": {f"{mass}, {step}": rebound(mass, step, **skin) for mass, step in steps},
+        "grasps": {hand: held(hand, **skin) for hand in ("mpl", "shadow")},
+    }
+
+
 def main() -> None:
     """Measure what is missing, then print the tables."""
-    options = parser(__doc__).parse_args()
-    result = earlier(options.out)
-    for name, skin in SKINS.items():
-        if name not in result:
-            result[name] = {
-                "law": [depth(force, **skin) for force in FORCES] if skin else None,
-                "depths": {str(mass): pressed(mass, **skin) for mass in MASSES},
-                "rebound": {
-                    f"{mass}, {step}": rebound(mass, step, **skin)
-                    for mass, step in itertools.product(MASSES, TIMESTEPS)
-                },
-                "grasps": {hand: held(hand, **skin) for hand in ("mpl", "shadow")},
-            }
-            write(options.out, result)
+    out = parser(__doc__).parse_args().out
+    result = measure_missing(out, {name: partial(measure, skin) for name, skin in SKINS.items()})
     show(result)
     show_grasps(result)
 

@@ -59,13 +59,11 @@ class Setting:
 
 EXACT = {"iterations": 200, "tolerance": 1e-12}
 MANY = {"numSolverIterations": 100}
+INERTIAS = "1e-5", "1e-4", "1e-3"
 LITTLE = 1e-5  # kg m², the reference's of both hands: a tenth of the smallest that is shipped
 REFERENCES = {
-    "mujoco": (Setting(1 / 8, EXACT), Setting(1 / 16, EXACT)),
-    "pybullet": (
-        Setting(1 / 4, MANY, added_inertia=LITTLE),
-        Setting(1 / 8, MANY, added_inertia=LITTLE),
-    ),
+    "mujoco": [Setting(part, EXACT) for part in (1 / 8, 1 / 16)],
+    "pybullet": [Setting(part, MANY, added_inertia=LITTLE) for part in (1 / 4, 1 / 8)],
 }
 SOLVER, INTEGRATOR, CONE = mujoco.mjtSolver, mujoco.mjtIntegrator, mujoco.mjtCone
 SETTINGS: dict[str, dict[str, Setting]] = {
@@ -74,9 +72,7 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         "timestep / 4": Setting(1 / 4),
         "timestep / 2": Setting(1 / 2),
         "timestep x 2": Setting(2),
-        "6 iterations": Setting(options={"iterations": 6}),
-        "10 iterations": Setting(options={"iterations": 10}),
-        "50 iterations": Setting(options={"iterations": 50}),
+        **{f"{n} iterations": Setting(options={"iterations": n}) for n in (6, 10, 50)},
         "tolerance 1e-5": Setting(options={"tolerance": 1e-5}),
         "solver CG": Setting(options={"solver": SOLVER.mjSOL_CG}),
         "solver PGS": Setting(options={"solver": SOLVER.mjSOL_PGS}),
@@ -94,18 +90,13 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         SHIPPED: Setting(),
         "timestep / 2": Setting(1 / 2),
         "timestep x 2": Setting(2),
-        "20 iterations": Setting(options={"numSolverIterations": 20}),
-        "30 iterations": Setting(options={"numSolverIterations": 30}),
-        "100 iterations": Setting(options={"numSolverIterations": 100}),
-        "contact ERP 0.1": Setting(options={"contactERP": 0.1}),
-        "contact ERP 0.4": Setting(options={"contactERP": 0.4}),
+        **{f"{n} iterations": Setting(options={"numSolverIterations": n}) for n in (20, 30, 100)},
+        **{f"contact ERP {rate}": Setting(options={"contactERP": rate}) for rate in (0.1, 0.4)},
         "friction ERP 0.05": Setting(options={"frictionERP": 0.05}),
         "CFM 1e-5": Setting(options={"globalCFM": 1e-5}),
         "no friction anchors": Setting(constants={"FRICTION_ANCHOR": 0}),
         "no spinning friction": Setting(constants={"SPINNING_FRICTION": 0.0}),
-        "added inertia 1e-5": Setting(added_inertia=1e-5),
-        "added inertia 1e-4": Setting(added_inertia=1e-4),
-        "added inertia 1e-3": Setting(added_inertia=1e-3),
+        **{f"added inertia {size}": Setting(added_inertia=float(size)) for size in INERTIAS},
         "hand touches itself": Setting(self_contact=True),
         "contact rule": Setting(config={"touch_rule": "contact"}),
     },

@@ -15,7 +15,7 @@ from typing import Any
 
 from tactilerl.envs import hands, layouts
 
-from benchmarks.command import DATA, parser, write
+from benchmarks.command import DATA, earlier, parser, write
 
 PAPERS = "123456"
 N_CHOSEN = 4, 8
@@ -45,12 +45,7 @@ def main() -> None:
     chosen = arguments.parse_args()
     found = {}
     for path in sorted(chosen.designs.glob("*/design.json")):
-        found[path.parent.name] = of_hand(
-            path.parent.name, json.loads(path.read_text(encoding="utf-8"))
-        )
+        hand = path.parent.name
+        found[hand] = of_hand(hand, earlier(path))
     print(json.dumps(found, indent=1))
     write(chosen.out, found)
-
-
-if __name__ == "__main__":
-    main()

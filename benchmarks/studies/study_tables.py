@@ -38,10 +38,7 @@ BETWEEN = {
     ("1", "6"): "120 more taxels, but smaller ones",
 }
 """Layouts that the paper compares, or that differ in one thing."""
-SETUPS = {
-    "mujoco": "Shadow Hand, MuJoCo, DDPG+HER",
-    "pybullet": "MPL hand, PyBullet, PPO",
-}
+SETUPS = {"mujoco": "Shadow Hand, MuJoCo, DDPG+HER", "pybullet": "MPL hand, PyBullet, PPO"}
 """The paper's set-ups, as the tables call them."""
 PAPER = {
     "pybullet": "0.65 0.60  0.66 0.61  0.58 0.62  0.59 0.63  0.58 0.58  0.64 0.56",
@@ -102,14 +99,19 @@ def group_means(name: str = "handover") -> None:
     main, sighted = study.setups
     groups = {style.ROLES[group]: (main, main.settings[0], group) for group in main.groups}
     groups["no touch, but sight"] = sighted, sighted.settings[0], ""
-    selected = [study_pairs.runs_of(runs, *place) for place in groups.values()]
-    areas = scored("area", *selected)
-    finals = scored("final", *selected)
+    reached(
+        {group: study_pairs.runs_of(runs, *place) for group, place in groups.items()}, "hand | runs"
+    )
+
+
+def reached(groups: dict[str, list[Record]], head: str) -> None:
+    """Print how many runs each group has, and their success."""
+    areas, finals = (scored(score, *groups.values()) for score in ("area", "final"))
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
         for group, area, final in zip(groups, areas, finals, strict=True)
     ]
-    markdown("| hand | runs | mean success over the run | over its last tenth |", rows)
+    markdown(f"| {head} | mean success over the run | over its last tenth |", rows)
 
 
 def worth(name: str = "handover") -> None:
@@ -258,18 +260,13 @@ def in_common(by_group: Sequence[BySeed]) -> tuple[list[int], Array]:
 
 def learned(places: dict[str, Place]) -> None:
     """Print how far some groups of runs learned, over the seeds that all of them have."""
-    selected = []
-    for name, setup_name, setting, group in places.values():
+    selected = {}
+    for title, (name, setup_name, setting, group) in places.items():
         setup, runs = load_setup(name, setup_name)
-        selected.append(study_pairs.runs_of(runs, setup, setting, group))
-    seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected))
-    selected = [[run for run in runs if run.run.seed in seeds] for runs in selected]
-    areas, finals = (scored(score, *selected) for score in ("area", "final"))
-    rows = [
-        (group, len(area), mean(area.values()), mean(final.values()))
-        for group, area, final in zip(places, areas, finals, strict=True)
-    ]
-    markdown("| runs | seeds | mean success over the run | over its last tenth |", rows)
+        selected[title] = study_pairs.runs_of(runs, setup, setting, group)
+    seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected.values()))
+    common = {title: [run for run in runs if run.run.seed in seeds] for title, runs in selected.items()}
+    reached(common, "runs | seeds")
 
 
 # -- designed layouts --------------------------------------------------------------------
@@ -312,18 +309,12 @@ def designed(learner: str) -> None:
 
 def design_goals() -> None:
     """Print how well a few chosen taxels do in unseen starts of each handover."""
-    signed = partial(interval, form="+.2f", to=" to ")
-    rows = [
-        (
-            row["scene"],
-            row["taxels"],
-            interval(row["felt"], *row["felt_interval"]),
-            signed(*row["difference"]["felt"]).replace("-", "−"),
-            interval(row["gate"]["rate"], *row["gate"]["interval"]),
-            signed(*row["gate"]["difference"]).replace("-", "−"),
-        )
-        for row in data("design")["goals"]["rows"]
-    ]
+    rows = []
+    for row in data("design")["goals"]["rows"]:
+        felt, gate = interval(row["felt"], *row["felt_interval"]), row["gate"]
+        ahead = estimate(row["difference"]["felt"], "+.2f"), estimate(gate["difference"], "+.2f")
+        rate = interval(gate["rate"], *gate["interval"])
+        rows.append((row["scene"], row["taxels"], felt, ahead[0], rate, ahead[1]))
     head = "| scene | taxels | felt | − layout 1 | scripted hand with touch | − layout 1 |"
     markdown(head, rows)
 
@@ -361,7 +352,7 @@ def paired(a: list[Record], b: list[Record], score: str = "area") -> study_pairs
     return study_pairs.in_pairs(scored(score, a, b))
 
 
-def estimate(value: Estimate, form: str) -> str:
+def estimate(value: Estimate | list[float], form: str) -> str:
     """Return a number with its interval, as text."""
     return interval(*value, form, " to ").replace("-", "−")
 
@@ -430,6 +421,10 @@ def tables(*rows: tuple[Any, ...]) -> dict[str, partial[None]]:
     return {name: partial(show, *arguments) for name, show, *arguments in rows}
 
 
+UPDATES: dict[str, Place] = {
+    "40 updates per cycle": ("learners", "updates", "layout 2", ""),
+    "16 updates per cycle": ("paper", "mujoco", "layout 2", "on"),
+}
 TABLES = tables(
     ("study groups", group_means),
     ("study worth", worth),
@@ -444,14 +439,7 @@ TABLES = tables(
     ("paper ddpg_her", layouts, "paper", "mujoco"),
     ("paper ppo", layouts, "paper", "pybullet"),
     ("learned ppo", learned, {"PPO, 50,000 steps": ("learners", "ppo", "layout 4", "")}),
-    (
-        "learned updates",
-        learned,
-        {
-            "40 updates per cycle": ("learners", "updates", "layout 2", ""),
-            "16 updates per cycle": ("paper", "mujoco", "layout 2", "on"),
-        },
-    ),
+    ("learned updates", learned, UPDATES),
     ("design goals", design_goals),
     ("design hands", design_hands),
     ("design ppo", designed, "ppo"),

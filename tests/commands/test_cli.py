@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -338,24 +337,6 @@ class TestBadInput:
         short = ["--total-timesteps", "1", "--max-episode-steps", "3", "--out", "run"]
         assert main(["train", "--env", "shadow", "--layout", "few.toml", *FAST, *short]) == 0
         assert "robot0:ffdistal" in Path("run/layout.toml").read_text()
-
-    def test_full_disk_stops_with_one_line_and_keeps_the_checkpoint(self, capsys):
-        """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
-        main([*REACH, "--total-timesteps", "1", "--out", "run"])
-        before = Path("run/checkpoint.pt").read_bytes()
-        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-        capsys.readouterr()
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
-        try:
-            assert main(["train", "--resume", "run", "--total-timesteps", "600"]) == 1
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        out, err = capsys.readouterr()
-        assert err.startswith("tactilerl: stopped: ")
-        assert "Traceback" not in out + err
-        assert Path("run/checkpoint.pt").read_bytes() == before
-        assert not list(Path("run").rglob("*.tmp"))
-        assert main(["train", "--resume", "run"]) == 0
 
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])

@@ -246,13 +246,7 @@ def mutated(text, rng):
         piece = rng.choice(
             [*string.printable, "nan", "inf", "-1", "9" * 400, "9" * 5000, "[" * 2000, "é"]
         )
-        text = rng.choice(
-            [
-                text[:a] + piece + text[a:],
-                text[:a] + piece + text[a + 1 :],
-                text[:a] + text[a + 1 :],
-                text[:a] + text[min(b, a + 20) :],
-                text[:b] + text[a:],
-            ]
-        )
+        cut = text[a:], text[a + 1 :], text[min(b, a + 20) :]
+        edits = [text[:a] + piece + cut[0], text[:a] + piece + cut[1], text[:a] + cut[1]]
+        text = rng.choice([*edits, text[:a] + cut[2], text[:b] + cut[0]])
     return text

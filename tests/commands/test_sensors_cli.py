@@ -30,14 +30,9 @@ def test_a_run_keeps_the_numbers_of_its_sensor_and_is_evaluated_with_others(caps
     assert main(["train", "--resume", "run", "--total-timesteps", "24"]) == 0
     assert "sensors" not in json.loads(printed(capsys, EVALUATE))
     other = json.loads(printed(capsys, [*EVALUATE, "--sensor", "switch", "--taxel-dead", "1"]))
-    assert other["sensors"] == {
-        "sensor": "switch",
-        "taxel_threshold": 0.98,
-        "taxel_release": 0.2,
-        "taxel_threshold_spread": 0.1,
-        "taxel_delay": 0,
-        "taxel_dead": 1.0,
-    }
+    numbers = {"threshold": 0.98, "release": 0.2, "threshold_spread": 0.1, "delay": 0, "dead": 1.0}
+    told = {f"taxel_{name}": number for name, number in numbers.items()}
+    assert other["sensors"] == {"sensor": "switch", **told}
     blind = json.loads(printed(capsys, [*EVALUATE, "--touch", "off"]))["sensors"]
     assert (blind["touch"], blind["taxel_threshold"], blind["taxel_delay"]) == ("off", None, 0)
 
@@ -154,10 +149,7 @@ def test_other_logs_are_one_line(capsys):
     fails_with(capsys, ["env", "--fit-sensor", "none.csv"], "log 'none.csv' does not exist")
     same = log(0.3, 0.2, delay=0.0, noise=0.0, seed=0, n=1)
     rest = same[round(2 / 0.004) :]
-    write(
-        "log.csv",
-        np.column_stack(
-            [0.004 * np.arange(500 + 4 * len(rest)), np.vstack([same[:500], *[rest] * 4])[:, 1:]]
-        ),
-    )
+    whole = np.vstack([same[:500], *[rest] * 4])
+    whole[:, 0] = 0.004 * np.arange(len(whole))
+    write("log.csv", whole)
     fails_with(capsys, ["env", "--fit-sensor", "log.csv"], "allowed slow and fast ones")

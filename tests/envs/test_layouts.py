@@ -87,6 +87,7 @@ def test_pitches_and_radii_are_the_papers():
     assert sum(large.radii == 1.5e-3) == 4
 
 
+SENSOR = "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\n"
 GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius_mm = 2.0\n'
 
 
@@ -109,14 +110,8 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),
         ("[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1.foo: unknown"),
         ("[[sensor]]\nfile = 'x.stl'\nlinks = ['a']\n", "sensor 1: file: found 'x.stl'"),
-        (
-            "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\nposition = [1e8, 0, 0]\n",
-            "sensor 1.position: found 100000",
-        ),
-        (
-            "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\nquaternion = [inf, 0, 0, 0]\n",
-            "sensor 1.quaternion: found inf",
-        ),
+        (f"{SENSOR}position = [1e8, 0, 0]\n", "sensor 1.position: found 100000"),
+        (f"{SENSOR}quaternion = [inf, 0, 0, 0]\n", "sensor 1.quaternion: found inf"),
     ],
 )
 def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):

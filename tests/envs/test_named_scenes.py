@@ -43,10 +43,9 @@ def test_flags_change_what_a_scene_says():
 
 class TestOtherLearner:
     def test_a_scene_may_say_how_it_learns(self):
-        config = configure({"scene": "handover", "algo": "ddpg_her"})
-        assert (config.run.total_timesteps, config.learner.random_hold) == (8_000, 8.0)
-        config = configure({"scene": "dark_mpl", "algo": "ddpg_her"})
-        assert (config.run.total_timesteps, config.learner.random_hold) == (95_000_000, 1.0)
+        for scene, steps, hold in (("handover", 8_000, 8.0), ("dark_mpl", 95_000_000, 1.0)):
+            config = configure({"scene": scene, "algo": "ddpg_her"})
+            assert (config.run.total_timesteps, config.learner.random_hold) == (steps, hold)
         config = configure({"scene": "handover"})
         assert (config.run.algo, config.run.total_timesteps) == ("ppo", 30_000)
 

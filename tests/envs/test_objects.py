@@ -33,13 +33,7 @@ def rollout(env, seed, n=6):
 )
 def test_an_episode_is_that_of_an_environment_made_for_its_object(hand, simulator, skin):
     """Bit for bit, whatever was in the scene before."""
-    choices = {
-        "simulator": simulator,
-        "task": "reach-goal",
-        "max_episode_steps": 6,
-        "layout": "1",
-        **skin,
-    }
+    choices = dict(simulator=simulator, task="reach-goal", max_episode_steps=6, layout="1", **skin)
     varied = envs.make(hand, **choices, **VARIED, object=SOLIDS[simulator])
     kinds = set()
     for seed in range(12):

@@ -54,6 +54,7 @@ WRONG = [
     ("toml", "[opened]", "[actions]\nkind = 'fly'\n[opened]", "actions.kind: found 'fly', allowed"),
     ("toml", "[opened]", "[actions]\ngroups = 5\n[opened]", "actions.groups: found 5, allowed a list"),
     ("toml", "[digits]", "observation = ['bend']\n[digits]", "observation: found 'bend', allowed: "),
+    ("toml", "[digits]", "observation = []\n[digits]", "observation: found none, allowed: "),
     ("toml", "[digits]", "[scene]\nfric = 1\n[digits]", "scene: fric: unknown; did you mean friction?"),
     ("toml", "[digits]", "[scene]\ntimestep = 0\n[digits]", "timestep: found 0"),
     ("toml", "[opened]", "[slides]\nhalf_range = [0, 0, -1]\n[opened]", "slides.half_range: found -1"),
@@ -66,12 +67,7 @@ WRONG = [
     ("toml", "[opened]", f"{CIRCLE}[opened]", "couplings: found a circle: left_tip follows left_"),
     ("toml", '"left_1", "left_2"', '"left_1", "left_1"', "expected each name once"),
     ("toml", '"left_1", "left_2"', '"left_1", "back_1"', "digits: found ['left_1', 'back_1', "),
-    (
-        "toml",
-        "[opened]",
-        f"{CLOSING}[opened]",
-        "slides.limits: found [1.0, 0.0], expected the lower end",
-    ),
+    ("toml", "[opened]", f"{CLOSING}[opened]", "slides.limits: found [1.0, 0.0], expected the lower"),
     ("toml", "[opened]", "[actions]\ngroups = [['left'], ['left']]\n[opened]", "expected each name"),
 ]
 

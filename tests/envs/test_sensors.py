@@ -166,26 +166,6 @@ def test_a_policy_is_told_the_errors_and_the_state_keeps_the_truth():
 
 
 @pytest.mark.parametrize(
-    ("choices", "said"),
-    [
-        ({"taxel_noise": 0.1}, r"taxel_noise: found 0.1, allowed only with taxels that read a force"),
-        ({"taxel_drift": 0.1, "touch": "off"}, "taxel_drift: .* only with touch on"),
-        ({"taxel_radius": 0.002, "touch": "off"}, "taxel_radius: .* only with touch on"),
-        (
-            {"taxel_threshold_spread": 0.1, "touch_rule": "force"},
-            "taxel_threshold_spread: .* only with touch_rule skin",
-        ),
-        ({"sensor": "switch", "taxel_threshold": 0.1}, "taxel_release: found 0.2 N, allowed up to"),
-        ({"sensor": "fsr", "control_dt": 0.0}, "control_dt: found 0.0"),
-        ({"sensor": "fsr3"}, "sensor: found 'fsr3', allowed: biotac"),
-    ],
-)
-def test_numbers_that_do_nothing_or_contradict_are_refused(choices, said):
-    with pytest.raises(ValueError, match=said):
-        envs.make("shadow", **choices)
-
-
-@pytest.mark.parametrize(
     ("choices", "hand_seeds"),
     [
         (dict(touch_rule="force", taxel_noise=0.1, taxel_gain_spread=0.2, taxel_drift=5.0), [1, 2]),

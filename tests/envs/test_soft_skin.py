@@ -37,12 +37,7 @@ def test_a_sphere_leaves_the_palm_slower_than_it_came(mass, timestep):
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 def test_thin_and_large_objects_do_not_break_the_physics(kind, object_size):
     """Jerked at a timestep four times as long."""
-    choices = {
-        "object": kind,
-        "object_size": object_size,
-        "task": "reach-goal",
-        "max_episode_steps": 15,
-    }
+    choices = dict(object=kind, object_size=object_size, task="reach-goal", max_episode_steps=15)
     shipped = setup("mpl")
     slow = {"timestep": 4 * shipped.timestep, "control_dt": 8 * shipped.timestep}
     config = setup("mpl", simulator="mujoco", **choices, **slow, **SKIN)

@@ -34,10 +34,7 @@ def few_steps(env, number, is_wanted):
 
 @pytest.mark.parametrize(
     ("make", "kind"),
-    [
-        (shadow, ThreadPoolExecutor),
-        pytest.param(mpl, ProcessPoolExecutor, marks=pytest.mark.pybullet),
-    ],
+    [(shadow, ThreadPoolExecutor), pytest.param(mpl, ProcessPoolExecutor, marks=pytest.mark.pybullet)],
 )
 def test_any_number_of_workers_gives_the_same(make, kind):
     results = []
@@ -86,10 +83,7 @@ def test_an_environment_says_how_it_may_be_played_in(side_by_side, workers, kind
 
 def test_a_worker_that_wants_to_exit_is_no_end_of_waiting():
     """As a plugin may."""
-    with (
-        closing(vector.start(partial(Plain, "threads"), 2)) as workers,
-        pytest.raises(SystemExit),
-    ):
+    with closing(vector.start(partial(Plain, "threads"), 2)) as workers, pytest.raises(SystemExit):
         list(workers.play(lambda *args: sys.exit(3), range(4)))
 
 

@@ -93,17 +93,6 @@ class TestCover:
             expected = best_of(starts, 4, losses=losses)
             assert cover.score(starts, result.taxels, losses) == pytest.approx(expected, abs=1e-9)
 
-    def test_one_more_taxel(self):
-        rng = np.random.default_rng(1)
-        starts = some(rng)
-        for losses in (NO_LOSS, np.eye(8, dtype=bool), rng.random((3, 8)) < 0.4):
-            each = cover.scores_with_each(starts, [0, 3], losses)
-            others = [1, 2, 4, 5, 6, 7]
-            assert each[others] == pytest.approx(
-                [cover.score(starts, [0, 3, j], losses) for j in others]
-            )
-        assert cover.value(starts, []) == 0.0
-
     def test_the_worst_loss(self):
         succeeds = np.zeros((4, NEVER + 1), bool)
         succeeds[:, 5] = True

@@ -56,6 +56,14 @@ def test_another_seed_has_other_starts_and_every_episode_is_counted(monkeypatch)
     assert len(set(played)) == 2 * 22
 
 
+def won(reflex, env, number):
+    """Return the targets of an episode that succeeds."""
+    steps, step_to = [], env.step_to
+    env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
+    assert reflex.play(env, number)
+    return steps
+
+
 class TestReflexes:
     @pytest.mark.parametrize("scene", ["handover", "dark_mpl"])
     def test_every_sense_that_a_scene_has_use_for_has_as_many_candidates(self, scene):
@@ -66,10 +74,8 @@ class TestReflexes:
 
     @pytest.mark.pybullet
     def test_an_active_one_stays_closed_when_something_stops_it(self):
-        env, steps = envs.make(scene="handover", simulator="pybullet", touch="absent"), []
-        step_to = env.step_to
-        env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
-        assert Reflex("active", 0.03, 1.0, squeeze=3).play(env, 1)
+        env = envs.make(scene="handover", simulator="pybullet", touch="absent")
+        steps = won(Reflex("active", 0.03, 1.0, squeeze=3), env, 1)
         is_closed = [not np.array_equal(targets, env.hand.start_targets()) for targets in steps]
         came = env.task.sets_off
         cycle = [True] * 3 + [False] * 3
@@ -91,10 +97,7 @@ class TestReflexes:
 
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
-        steps = []
-        step_to = env.step_to
-        env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
-        assert Reflex("touch", 1, 1.0).play(env, 2)
+        steps = won(Reflex("touch", 1, 1.0), env, 2)
         went = next(i for i, targets in enumerate(steps) if not np.array_equal(targets, steps[0]))
         assert env.task.sets_off < went < env.task.sets_off + env.task.stays
 

@@ -83,14 +83,10 @@ def test_a_scheduler_that_dies(tmp_path, capfd):
 
     killer = threading.Thread(target=kill)
     killer.start()
+    args = ["study", "run", str(write(tmp_path)), "--out", str(out), "--on", f"dask:{address}"]
     try:
         with dask.config.set({"distributed.comm.timeouts.connect": "2s"}):
-            assert (
-                main(
-                    ["study", "run", str(write(tmp_path)), "--out", str(out), "--on", f"dask:{address}"]
-                )
-                == 1
-            )
+            assert main(args) == 1
     finally:
         scheduler.kill()
         killer.join()

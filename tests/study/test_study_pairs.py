@@ -7,14 +7,8 @@ from tactilerl.study.grid import Contrast, Run, Setup
 
 
 class TestAnswers:
-    setup = Setup(
-        "one",
-        {},
-        {"layout": [1, 2], "touch": ["on", "off"]},
-        [0],
-        Contrast("touch", "on", "off"),
-        "success_rate",
-    )
+    grid, contrast = {"layout": [1, 2], "touch": ["on", "off"]}, Contrast("touch", "on", "off")
+    setup = Setup("one", {}, grid, [0], contrast, "success_rate")
 
     def verdict(self, gap, p_holm, n=9):
         ones = pairs.Pairs([*range(n)], np.ones(n), np.zeros(n), pairs.Estimate(*gap), p_holm)
