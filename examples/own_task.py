@@ -41,12 +41,10 @@ class HoldCup(Handover):
     @classmethod
     def items(cls, config: ObjectConfig) -> Items:
         """Return cups, 4.5 cm in diameter and height and of 7 g, whatever the scene says."""
-        cup = {
-            "object": "cylinder",
-            "object_size": (0.045, 0.045),
-            "object_density": 100.0,
-        }
-        return Items(replace(config, **cup))
+        size = 0.045, 0.045
+        return Items(
+            replace(config, object="cylinder", object_size=size, object_density=100.0)
+        )
 
     def after_step(self, state: State, is_last: Any) -> tuple[Array, Any]:
         """Do as in a handover, unless the cup is crushed."""
