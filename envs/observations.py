@@ -478,10 +478,10 @@ class Observer:
             [JointErrors(white, held, control_dt)] if white.any() or held.any() else []
         )
         self.senses: list[Any] = [Sight(config, first), *joints]
-        """What changes a state on its way to the policy."""
+        """Stages that change a state on its way to the policy."""
         stages = [make(config, len(taxel_names)) for make in STAGES]
         self.stages = [*filter(None, stages), Past(config.history)]
-        """What the taxels' readings pass."""
+        """Stages that the taxels' readings pass."""
         self.past = Past(config.history)
         entries = [  # term and name of each
             (name, f"{term.what} {entry}")

@@ -1,4 +1,4 @@
-"""What a hand's file means of its model: palm, digits, joint angles."""
+"""Read what a hand's file means of its model: palm, digits, joint angles."""
 
 from __future__ import annotations
 

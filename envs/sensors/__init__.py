@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Cost:
-    """What sensors cost, in whatever currency; a board reads up to `channels` of them (None: any)."""
+    """Price of sensors, in whatever currency; a board reads up to `channels` of them (None: any)."""
 
     each: Money
     board: Money = 0.0
@@ -69,7 +69,7 @@ class _File:
 
 @dataclass(frozen=True)
 class SensorFile:
-    """What is known of a sensor, in SI units; None: unknown."""
+    """Hold what is known of a sensor, in SI units; None: unknown."""
 
     name: str
     about: str

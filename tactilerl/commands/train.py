@@ -30,7 +30,7 @@ ALWAYS_SHOWN = {"algo", "env", "layout", "touch", "task", "total_timesteps", "se
 
 @dataclass(frozen=True)
 class TrainFlags(SceneFlag):
-    """What sets the defaults of the other flags."""
+    """Flags that set the defaults of the other flags."""
 
     recipe: str = ""
     """A set of hyperparameters (paper, steady, ...); default: the scene's, or paper."""

@@ -371,7 +371,7 @@ class Pool:
     scenes: dict[str, GraspConfig]
     hand: Hand
     sensor: Kind
-    """What may be bought."""
+    """The sensor that may be bought."""
     skin: Taxels
     """All taxels that anything is asked of, with whatever sensor."""
     delays: Array

@@ -1,4 +1,4 @@
-"""What sensors and their boards cost, and how many taxels some money buys."""
+"""Tell what sensors and their boards cost, and how many taxels some money buys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a saved policy has to know of its environment's spaces, as JSON."""
+"""Write and read what a saved policy has to know of its environment's spaces, as JSON."""
 
 from __future__ import annotations
 

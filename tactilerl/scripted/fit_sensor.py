@@ -32,7 +32,7 @@ MIN_RATIO = 2.0  # of the speeds of the fastest and the slowest press
 
 
 class _Log(NamedTuple):
-    """What a log says of one sensor."""
+    """Hold what a log says of one sensor."""
 
     presses: Array
     """(n, 4): force, N, and its rate, N/s, at the moment when it fires, and when it stops."""
