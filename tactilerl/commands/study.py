@@ -55,11 +55,17 @@ class Run:
         )
         if is_gpu:
             batch.require_device()
+        jobs.check(files, runs)
+        if is_gpu:
             batches, others = batch.form(runs)
+            if not batches:
+                run, reason = others[0]
+                raise InputError(
+                    f"--on gpu: found no run for it ({run.name}: {reason}); leave out --on gpu"
+                )
             for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
             runs = [run for one in batches for run in one.runs]
-        jobs.check(files, runs, makes=not is_gpu)
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
         with executors.start(*where) as pool:
             files.create(study)

@@ -105,7 +105,8 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 for note in note_of_standing_still(workers.play):
                     notes.append(paragraph("warning", note))
             if learner.env_steps >= learner.total_timesteps:
-                notes.append("  nothing to do; raise --total-timesteps")
+                advice = "" if config.learner.anneals else "; raise --total-timesteps"
+                notes.append(f"  nothing to do{advice}")
             with EpochLog(learner, comm, events) as log:
                 log.console.print("\n".join(filter(None, notes)))
                 for earlier in run_dir.rows():

@@ -81,10 +81,10 @@ class Job:
         return ["study", "train", str(self.folder), *names, *flags]
 
 
-def check(files: StudyFiles, runs: Iterable[Run], makes: bool = True) -> None:
+def check(files: StudyFiles, runs: Iterable[Run]) -> None:
     """Raise InputError naming the first run that could not start, or is another one in its folder.
 
-    Where it `makes` them, with the environment and the learner of every group that has not begun yet.
+    Makes the environment and the learner of every group that has not begun yet.
     """
     made = set()
     for run in runs:
@@ -94,7 +94,7 @@ def check(files: StudyFiles, runs: Iterable[Run], makes: bool = True) -> None:
             if record.config:
                 _require_same(record, config)
                 _require_same_layout(files.run_dir(run).layout_file, config)
-            if makes and record.state == "left" and run.place not in made:
+            if record.state == "left" and run.place not in made:
                 made.add(run.place)
                 learner, workers = make_algorithm(config, Communicator())
                 with closing(workers), input_errors():

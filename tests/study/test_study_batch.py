@@ -149,6 +149,33 @@ def test_a_batch_that_is_told_to_end_ends_at_its_next_step(tmp_path, in_a_loop, 
     assert "interrupted: 6; run the same command to go on" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("flag", "said"),
+    [
+        ('object = "cone"', "object: found 'cone'"),
+        ("no_flag = 3", "no_flag"),
+        ("hidden = [0]", "hidden"),
+        ('sensor = "nope.toml"', "nope.toml"),
+        ('grid = {touch = ["on", "off"], sensor = ["fsr", "nope"]}', "nope"),
+        ('layout = "nope.toml"', "nope.toml"),
+    ],
+)
+def test_bad_input_is_said_as_without_a_gpu(tmp_path, in_a_loop, capsys, flag, said):
+    """Of runs that can be in a batch, and of others."""
+    setups = '[setups.good]\nenv = "mpl"\n[setups.bad]\nenv = "mpl"\n'
+    study = write(tmp_path, f'name = "bad"\n{setups}{flag}')
+    args = ["study", "run", study, "--out", tmp_path / "out"]
+    assert fails_with(capsys, [*args, "--on", "gpu"], said) == fails_with(capsys, args, said)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_study_without_a_batch_is_refused(tmp_path, in_a_loop, capsys):
+    study = write(tmp_path, "\n".join(['name = "toy"', "[setups.toy]", 'env = "lqr"']))
+    args = ["study", "run", study, "--out", tmp_path / "out", "--on", "gpu"]
+    fails_with(capsys, args, "toy_s0: env: found lqr", "leave out --on gpu")
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv(batch.DEVICE, raising=False)
     args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]
