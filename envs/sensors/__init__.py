@@ -155,14 +155,14 @@ def load(name: str | Path) -> SensorFile:
 def choose(config: T, choices: Mapping[str, Any]) -> T:
     """Return a copy of a `grasp.GraspConfig` with some fields chosen otherwise.
 
-    A sensor brings its numbers, which the other choices overrule; without touch there are none. Raise
-    ValueError naming what is wrong with the sensor, and FileNotFoundError.
+    A sensor brings its numbers, which the other choices overrule; without touch, or with the sensor "",
+    there are none. Raise ValueError naming what is wrong with the sensor, and FileNotFoundError.
     """
     changed: Any = validation.replace(config, choices)
     numbers: dict[str, Any] = {}
-    if changed.sensor and changed.touch != "on":
+    if choices.get("sensor") == "" or (changed.sensor and changed.touch != "on"):
         numbers = _usual(config)
-    elif choices.get("sensor"):
+    elif "sensor" in choices:
         validation.require(type(changed), vars(changed))
         numbers = load(changed.sensor).fields(changed)
     return validation.replace(config, {**numbers, **choices})

@@ -75,9 +75,11 @@ def main(args: list[str]) -> int:
     changed: dict[str, Any] = {}
     if scene is not None:
         names = validation.names(SensorConfig)
-        now = {"touch": command.touch or scene.touch, "sensor": read.sensors.sensor}
+        now = {"touch": command.touch or scene.touch}
+        if flags.several(args, "--sensor")[0]:  # "" takes the run's away
+            now["sensor"] = read.sensors.sensor
         with input_errors():
-            known = sensors.choose(scene, {k: v for k, v in now.items() if v})
+            known = sensors.choose(scene, now)
         usual = SensorConfig(**{name: getattr(known, name) for name in names})
         default = EvaluateFlags(command, usual)  # known only now
         given = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
@@ -135,7 +137,8 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
 def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
     """Return a table of how good a policy is, headed by its run and sensors."""
     changed = [
-        f"{k.replace('_', '-')} {v}" for k, v in about.get("sensors", {}).items()
+        f"{k.replace('_', '-')} {'none' if v == '' else v}"
+        for k, v in about.get("sensors", {}).items()
     ]
     title = ", ".join([about["run"], f"epoch {about['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.

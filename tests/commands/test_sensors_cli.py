@@ -33,6 +33,8 @@ def test_a_run_keeps_the_numbers_of_its_sensor_and_is_evaluated_with_others(caps
     numbers = {"threshold": 0.98, "release": 0.2, "threshold_spread": 0.1, "delay": 0, "dead": 1.0}
     told = {f"taxel_{name}": number for name, number in numbers.items()}
     assert other["sensors"] == {"sensor": "switch", **told}
+    usual = {"sensor": "", "taxel_threshold": None, "taxel_radius": None, "taxel_delay": 0}
+    assert json.loads(printed(capsys, [*EVALUATE, "--sensor", ""]))["sensors"] == usual
     blind = json.loads(printed(capsys, [*EVALUATE, "--touch", "off"]))["sensors"]
     assert (blind["touch"], blind["taxel_threshold"], blind["taxel_delay"]) == ("off", None, 0)
 
