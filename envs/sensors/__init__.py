@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -128,10 +129,16 @@ def load(name: str | Path) -> SensorFile:
     """
     path = Path(name)
     if path.suffix != SUFFIX:
-        validation.require_one_of([*names(), f"FILE{SUFFIX}"], str(name), "sensor")
+        if str(name) not in names():
+            raise ValueError(
+                f"sensor: found {str(name)!r}, {validation.nearest(str(name), names())}"
+                f"allowed: {', '.join(names())}, FILE{SUFFIX}"
+            )
         path = FOLDER / f"{name}{SUFFIX}"
     data = validation.read(path, "sensor file")
     with validation.blamed(f"sensor file {path}"):
+        if "sensor" not in data:
+            raise ValueError("table [sensor] is missing")
         file = validation.fill(_File, data)
         numbers = file.sensor
         for field in ("release_N", "threshold_spread"):
@@ -143,6 +150,11 @@ def load(name: str | Path) -> SensorFile:
             raise ValueError(
                 f"sensor.release_N: found {numbers.release_N}, allowed up to threshold_N, "
                 f"{numbers.threshold_N}"
+            )
+        if (numbers.threshold_N or 0.0) > (numbers.saturates_N or math.inf):
+            raise ValueError(
+                f"sensor.threshold_N: found {numbers.threshold_N}, allowed up to saturates_N, "
+                f"{numbers.saturates_N}"
             )
     values: dict[str, Any] = {}
     for key, value in asdict(numbers).items():
