@@ -24,6 +24,7 @@ from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
 from ..terminal.console import console, progress
+from .scene import sensor_notes, warn
 
 ABOUT = """\
 Success rate and return of a trained run, with confidence intervals. Sensor flags replace the
@@ -96,6 +97,9 @@ def main(args: list[str]) -> int:
         )
     with input_errors():
         run.validate()
+        env, scene = run.place
+        if scene is not None:
+            warn(sensor_notes(env, scene))
     played = _play(run, trained.policy, command)
     summary = evaluation.summarise(played)
     about = {

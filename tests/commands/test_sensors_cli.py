@@ -57,6 +57,29 @@ def test_env_and_gate_take_a_sensor(capsys):
     fails_with(capsys, ["env", "--sensor", "no.toml"], "sensor file 'no.toml' does not exist")
 
 
+def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys):
+    scene = ["--scene", "handover", "--sensor"]
+    few = ["--starts", "1", "--search", "1", "--workers", "1"]
+    design = ["design", *scene, "eflesh", "switch", "--taxels", "1", "--starts", "1"]
+    unknown = "note: eflesh names no threshold: its taxels fire at any contact"
+    firm = "note: threshold 0.98 N is above --giver-force 0.32 N: touch comes too late"
+    assert main(["gate", *scene, "switch", *few]) == 0
+    assert capsys.readouterr().err.startswith(firm)
+    assert main([*design, "--test-starts", "2", "--workers", "1"]) == 0
+    assert capsys.readouterr().err.startswith(f"{unknown}\n{firm}\n")
+    assert unknown in printed(capsys, ["env", *scene, "eflesh"])
+    for known in (["--taxel-threshold", "0.1"], ["--touch-rule", "force"], ["--touch", "off"]):
+        assert "eflesh names" not in printed(capsys, ["env", *scene, "eflesh", *known])
+    assert (
+        "sensor: fsr; radius 0.00381 m, threshold 0.2 N, release 0.16 N, delay 0 control steps; unused "
+        "by touch rule skin: saturates, gain_spread\n"
+    ) in printed(capsys, ["env", *scene, "fsr"])
+    assert main([*TRAIN, "--sensor", "eflesh", "--total-timesteps", "12", "--out", "run"]) == 0
+    assert "eflesh names no threshold" in " ".join(capsys.readouterr().out.split())
+    assert main(EVALUATE) == 0
+    assert capsys.readouterr().err.startswith(unknown)
+
+
 def log(threshold, release, delay, noise, seed, is_boolean=False, n=15, dt=0.004):
     """Return (lines, 3) of a sensor in which it is pressed n times, slowly and fast."""
     rng = np.random.default_rng(seed)
