@@ -57,12 +57,10 @@ def fit(paths: Sequence[Path]) -> str:
     presses = [log.presses for log in logs]
     found, bounds = _estimate(presses), _bounds(presses)
     delay = found[2]
-    scales = {"threshold_N": 1.0, "release_N": 1.0, "delay_ms": 1e3}
     lines = [
-        _line(key, scale * value, *scale * span)
-        for (key, scale), value, span in zip(
-            scales.items(), found[:3], bounds, strict=False
-        )
+        _line("threshold_N", found[0], *bounds[0]),
+        _line("release_N", found[1], *bounds[1]),
+        _line("delay_ms", 1e3 * delay, *1e3 * bounds[2]),
     ]
     if len(logs) >= MIN_SPECIMENS:
         lines.append(_line("threshold_spread", found[3], *bounds[3]))
@@ -114,9 +112,7 @@ def _estimate(presses: Sequence[Array]) -> Array:
     They are the means of specimens, each of which has presses (n, 4).
     """
     means = np.array([each.mean(axis=0) for each in presses])
-    around = np.concatenate(presses) - np.repeat(
-        means, [len(each) for each in presses], axis=0
-    )
+    around = np.concatenate([each - each.mean(axis=0) for each in presses])
     forces, rates = around[:, 0::2], around[:, 1::2]
     delay = np.maximum((forces * rates).sum() / (rates**2).sum(), 0.0)
     levels = (means[:, 0::2] - delay * means[:, 1::2]).clip(0.0)
@@ -141,7 +137,7 @@ def _read(path: Path) -> _Log:
                 f"columns: found {header[:50]!r}, allowed {COLUMNS} (s, N, any unit)"
             )
         rows = []
-        for number, line in enumerate(text.splitlines()[1:], 2):
+        for number, line in enumerate(text.rstrip().splitlines()[1:], 2):
             try:
                 time, force, reading = map(float, line.split(","))
             except ValueError:
