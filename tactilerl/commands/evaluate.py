@@ -76,7 +76,7 @@ def main(args: list[str]) -> int:
     changed: dict[str, Any] = {}
     if scene is not None:
         names = validation.names(SensorConfig)
-        now = {"touch": command.touch or scene.touch}
+        now: dict[str, Any] = {"touch": command.touch or scene.touch}
         if flags.several(args, "--sensor")[0]:  # "" takes the run's away
             now["sensor"] = read.sensors.sensor
         with input_errors():
