@@ -206,8 +206,9 @@ def make(kind: Kind, size: tuple[Any, ...]) -> Shape:
     numbers = {"sphere": "1", "cylinder": "1 or 2", "capsule": "1 or 2"}
     allowed = numbers.get(kind, "1 or 3")
     if str(len(size)) not in allowed.split():
+        a = "an" if kind == "ellipsoid" else "a"
         raise ValueError(
-            f"object_size: found {len(size)} numbers, allowed for a {kind}: {allowed}"
+            f"object_size: found {len(size)} numbers, allowed for {a} {kind}: {allowed}"
         )
     if kind == "capsule":
         straight = (*size, size[0] / 2)[1]

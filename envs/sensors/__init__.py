@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -128,10 +129,16 @@ def load(name: str | Path) -> SensorFile:
     """
     path = Path(name)
     if path.suffix != SUFFIX:
-        validation.require_one_of([*names(), f"FILE{SUFFIX}"], str(name), "sensor")
+        if str(name) not in names():
+            raise ValueError(
+                f"sensor: found {str(name)!r}, {validation.nearest(str(name), names())}"
+                f"allowed: {', '.join(names())}, FILE{SUFFIX}"
+            )
         path = FOLDER / f"{name}{SUFFIX}"
     data = validation.read(path, "sensor file")
     with validation.blamed(f"sensor file {path}"):
+        if "sensor" not in data:
+            raise ValueError("table [sensor] is missing")
         file = validation.fill(_File, data)
         numbers = file.sensor
         for field in ("release_N", "threshold_spread"):
@@ -144,6 +151,11 @@ def load(name: str | Path) -> SensorFile:
                 f"sensor.release_N: found {numbers.release_N}, allowed up to threshold_N, "
                 f"{numbers.threshold_N}"
             )
+        if (numbers.threshold_N or 0.0) > (numbers.saturates_N or math.inf):
+            raise ValueError(
+                f"sensor.threshold_N: found {numbers.threshold_N}, allowed up to saturates_N, "
+                f"{numbers.saturates_N}"
+            )
     values: dict[str, Any] = {}
     for key, value in asdict(numbers).items():
         field, _, unit = re.fullmatch("(.+?)(_(mm|ms|N|N_per_min))?", key).groups()  # type: ignore[union-attr]
@@ -155,14 +167,14 @@ def load(name: str | Path) -> SensorFile:
 def choose(config: T, choices: Mapping[str, Any]) -> T:
     """Return a copy of a `grasp.GraspConfig` with some fields chosen otherwise.
 
-    A sensor brings its numbers, which the other choices overrule; without touch there are none. Raise
-    ValueError naming what is wrong with the sensor, and FileNotFoundError.
+    A sensor brings its numbers, which the other choices overrule; without touch, or with the sensor "",
+    there are none. Raise ValueError naming what is wrong with the sensor, and FileNotFoundError.
     """
     changed: Any = validation.replace(config, choices)
     numbers: dict[str, Any] = {}
-    if changed.sensor and changed.touch != "on":
+    if choices.get("sensor") == "" or (changed.sensor and changed.touch != "on"):
         numbers = _usual(config)
-    elif choices.get("sensor"):
+    elif "sensor" in choices:
         validation.require(type(changed), vars(changed))
         numbers = load(changed.sensor).fields(changed)
     return validation.replace(config, {**numbers, **choices})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,10 +16,11 @@ from ..files import pasted
 from ..machine import free_cores
 from ..pictures import places
 from ..placement import files
-from ..placement.candidates import DesignFlags
+from ..placement.candidates import DesignFlags, scenes_of
 from ..placement.choice import Design, Row, Use, design, n_played
 from ..terminal import flags
 from ..terminal.console import console, progress
+from .scene import sensor_notes, warn
 
 ABOUT = """\
 Where should a hand's few taxels go? Plays each start of a handover once with a dense skin,
@@ -67,6 +68,20 @@ def main(args: list[str]) -> int:
                     )
             is_one = read.budget is not None or len(read.numbers) == 1
             files.require(read.out, is_one, read.overwrite)
+        env, configs = scenes_of(read)
+        warn(
+            [
+                note
+                for scene in configs.values()
+                for kind in read.kinds(scene)
+                for note in sensor_notes(
+                    env,
+                    replace(
+                        scene, sensor=kind.name or "", taxel_threshold=kind.threshold
+                    ),
+                )
+            ]
+        )
         total = n_played(read)
         what = f"playing about {total} episodes"
         with progress(what, total, not read.json, is_long=True) as tick:

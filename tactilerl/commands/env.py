@@ -10,14 +10,14 @@ from typing import Any
 
 import gymnasium as gym
 
-from ..envs import scenes, sensors, tasks, vector
-from ..envs.grasp import GraspEnv
+from ..envs import scenes, sensors, tasks, touch, vector
+from ..envs.grasp import GraspConfig, GraspEnv
 from ..errors import input_errors
 from ..runs.still import note_of_standing_still
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
 from .grasps import require_grasp
-from .scene import layout_notes, read_scene
+from .scene import layout_notes, read_scene, sensor_notes
 
 ABOUT = """\
 Describe an environment: what it is, its actions, observations and taxels. Without flags it also
@@ -90,16 +90,37 @@ def _content(name: str, env: GraspEnv) -> dict[str, Any]:
         "action_space": _short(env.action_space),
         "observation_space": _short(env.observation_space),
         "taxels": len(env.taxels),
-        "notes": layout_notes(name, scene.layout),
+        **_sensor(scene),
+        "notes": layout_notes(name, scene.layout) + sensor_notes(name, scene),
         "action": env.hand.action_names,
         "observation": env.observation_names(),
     }
 
 
+def _sensor(scene: GraspConfig) -> dict[str, str]:
+    """Return what a sensor does here, where there is one."""
+    if not scene.sensor or scene.touch != "on":
+        return {}
+    threshold, release = scene.taxel_threshold, scene.taxel_release
+    if threshold and release is None:
+        release = round(touch.RELEASE * threshold, 6)
+    file = vars(sensors.load(scene.sensor))
+    idle = sensors.UNUSED.get(scene.touch_rule, ())
+    unused = ", ".join(name for name in idle if file[name] is not None) or "nothing"
+    return {
+        "sensor": f"{scene.sensor}; radius {scene.taxel_radius} m, threshold {threshold} N, release "
+        f"{release} N, delay {scene.taxel_delay} control steps; unused by touch rule "
+        f"{scene.touch_rule}: {unused}".replace("None m", "unknown").replace(
+            "None N", "unknown"
+        )
+    }
+
+
 def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) -> None:
     """Print the content in lines, all entries of action and observation if `everything`."""
-    for key in ("env", "task", "action_space", "observation_space", "taxels"):
-        print(f"{key}: {content[key]}")
+    for key in ("env", "task", "action_space", "observation_space", "taxels", "sensor"):
+        if key in content:
+            print(f"{key}: {content[key]}")
     for note in content["notes"]:
         print(f"note: {note}")
     for key in ("action", "observation") if everything else ():

@@ -24,6 +24,7 @@ from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
 from ..terminal.console import console, progress
+from .scene import sensor_notes, warn
 
 ABOUT = """\
 Success rate and return of a trained run, with confidence intervals. Sensor flags replace the
@@ -75,9 +76,11 @@ def main(args: list[str]) -> int:
     changed: dict[str, Any] = {}
     if scene is not None:
         names = validation.names(SensorConfig)
-        now = {"touch": command.touch or scene.touch, "sensor": read.sensors.sensor}
+        now: dict[str, Any] = {"touch": command.touch or scene.touch}
+        if flags.several(args, "--sensor")[0]:  # "" takes the run's away
+            now["sensor"] = read.sensors.sensor
         with input_errors():
-            known = sensors.choose(scene, {k: v for k, v in now.items() if v})
+            known = sensors.choose(scene, now)
         usual = SensorConfig(**{name: getattr(known, name) for name in names})
         default = EvaluateFlags(command, usual)  # known only now
         given = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
@@ -94,6 +97,9 @@ def main(args: list[str]) -> int:
         )
     with input_errors():
         run.validate()
+        env, scene = run.place
+        if scene is not None:
+            warn(sensor_notes(env, scene))
     played = _play(run, trained.policy, command)
     summary = evaluation.summarise(played)
     about = {
@@ -135,7 +141,8 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
 def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
     """Return a table of how good a policy is, headed by its run and sensors."""
     changed = [
-        f"{k.replace('_', '-')} {v}" for k, v in about.get("sensors", {}).items()
+        f"{k.replace('_', '-')} {'none' if v == '' else v}"
+        for k, v in about.get("sensors", {}).items()
     ]
     title = ", ".join([about["run"], f"epoch {about['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.

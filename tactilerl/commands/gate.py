@@ -15,7 +15,7 @@ from ..scripted import gate
 from ..terminal import flags
 from ..terminal.console import console, progress
 from .grasps import require_grasp
-from .scene import layout_notes, read_scene
+from .scene import layout_notes, read_scene, sensor_notes, warn
 
 ABOUT = """\
 Can touch make a difference in a scene? Compares scripted hands that feel, see, or do neither,
@@ -70,6 +70,7 @@ def main(args: list[str]) -> int:
             layout_notes(read.env, variant.layout)  # raises what is wrong with it
         if tasks.TASKS[scene.task].giver is None:
             require_grasp(read.env, scene)
+        warn([note for one in variants for note in sensor_notes(read.env, one)])
     total = gate.n_compared(variants, read.starts, read.search)
     what = f"playing scripted hands, {total} episodes"
     shown = progress(what, total, not read.json, is_long=True)

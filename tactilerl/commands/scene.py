@@ -9,12 +9,13 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 
-from ..envs import TOYS, hands, layouts, scenes, validation
+from ..envs import TOYS, hands, layouts, scenes, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.scenes import NamedScene
 from ..envs.validation import nearest
 from ..errors import InputError, input_errors
 from ..terminal import flags
+from ..terminal.console import beside
 
 T = TypeVar("T")
 
@@ -62,6 +63,28 @@ def read_scene(
     parts = {"command": command, "named": SceneFlag(), "scene": scene}
     read = flags.parse_parts(parts, args, prog, about)
     return read.command, read.scene
+
+
+def sensor_notes(name: str, scene: GraspConfig) -> list[str]:
+    """Return notes about a hand's taxels that fire at any contact, or later than touch is of use."""
+    force = scene.taxel_threshold
+    if scene.touch != "on" or scene.touch_rule != "skin":
+        return []
+    if force is None:
+        taxels = layouts.load(scene.layout).place(hands.get(name))
+        says = f"{scene.sensor} names no threshold: its taxels fire at any contact"
+        return [says] if scene.sensor and not taxels.thresholds.any() else []
+    if tasks.TASKS[scene.task].giver is None or force <= scene.giver_force:
+        return []
+    return [
+        f"threshold {force:g} N is above --giver-force {scene.giver_force:g} N: touch comes too late"
+    ]
+
+
+def warn(notes: Sequence[str]) -> None:
+    """Print notes on standard error, each once."""
+    for note in dict.fromkeys(notes):
+        beside.print(f"note: {note}")
 
 
 def layout_notes(name: str, layout: str) -> list[str]:

@@ -14,7 +14,7 @@ from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph
 from ..terminal.epochs import learning_curve
-from .scene import SceneFlag, layout_notes, require_env
+from .scene import SceneFlag, layout_notes, require_env, sensor_notes
 
 ABOUT = """\
 Train a policy. --scene, --algo, --env and --recipe decide which other flags exist, and their
@@ -54,6 +54,7 @@ def main(args: list[str]) -> int:
         comm = mpi.world()
         if config.scene and not given["resume"]:  # its layout's file may be gone
             notes = layout_notes(config.run.env, config.scene.layout)
+            notes += sensor_notes(config.run.env, config.scene)
     path = train(config, comm, _summary(config, usual, comm.size, notes))
     if comm.rank == 0:
         curve = learning_curve(RunDir(path).rows())

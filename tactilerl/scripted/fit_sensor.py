@@ -7,15 +7,13 @@ fast the force rises; likewise when it stops. Slow and fast presses together tel
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import bootstrap
 
 from ..envs import validation
 from ..envs.state import Array
@@ -28,6 +26,8 @@ REST = 0.5  # s without touch that a log has before its first press at least, an
 SIGMAS = 5.0  # of the noise at rest: further away, a reading tells of a press
 WINDOW = 0.05  # s before an event, in which the force is taken for a line
 MIN_PRESSES = 3
+MIN_SPECIMENS = 5  # from which an interval of their spread says anything
+RESAMPLES, PERCENT = 999, (2.5, 97.5)
 MIN_RATIO = 2.0  # of the speeds of the fastest and the slowest press
 
 
@@ -49,34 +49,32 @@ def fit(paths: Sequence[Path]) -> str:
 
     Raise ValueError naming what is wrong with a log, and FileNotFoundError.
     """
-    logs = [_read(path) for path in paths]
-    presses = np.concatenate([log.presses for log in logs])
-    owners = np.repeat(np.arange(len(logs)), [len(log.presses) for log in logs])
-
-    def estimate(chosen: Array) -> Array:
-        return _estimate(presses[chosen], owners[chosen])[1]
-
-    thresholds, best = _estimate(presses, owners)
-    low, high = _interval(np.arange(len(presses)), estimate)
-    threshold, release, delay = best.clip(0.0)
-    lines = [
-        _line("threshold_N", threshold, low[0], high[0]),
-        _line("release_N", min(release, threshold), low[1], high[1]),
-        _line("delay_ms", 1e3 * delay, 1e3 * low[2], 1e3 * high[2]),
-    ]
-    if len(logs) > 1:
-        lines.append(
-            _line(
-                "threshold_spread", _spread(thresholds), *_interval(thresholds, _spread)
-            )
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise ValueError(
+            "fit_sensor: found a file twice, allowed one for each specimen"
         )
+    logs = [_read(path) for path in paths]
+    presses = [log.presses for log in logs]
+    found, bounds = _estimate(presses), _bounds(presses)
+    delay = found[2]
+    lines = [
+        _line("threshold_N", found[0], *bounds[0]),
+        _line("release_N", found[1], *bounds[1]),
+        _line("delay_ms", 1e3 * delay, *1e3 * bounds[2]),
+    ]
+    if len(logs) >= MIN_SPECIMENS:
+        lines.append(_line("threshold_spread", found[3], *bounds[3]))
+    elif len(logs) > 1:
+        lines.append(f"threshold_spread = {found[3]:.3g}")
     noise = [
-        log.rest / _gain(log, delay) for log in logs if len(np.unique(log.fired[1])) > 2
+        (log.rest - log.rest.mean()) / _gain(log, delay)
+        for log in logs
+        if len(np.unique(log.fired[1])) > 2
     ]
     if noise:
         every = np.concatenate(noise)
-        lines.append(_line("noise_N", every.std(), *_interval(every, np.std)))
-    about = f"Fitted to {len(presses)} presses"
+        lines.append(_line("noise_N", every.std(), *_noise_bounds(every)))
+    about = f"Fitted to {sum(map(len, presses))} presses"
     names = ", ".join(path.name for path in paths)
     head = [
         f"about = {validation.quoted(about)}",
@@ -86,37 +84,41 @@ def fit(paths: Sequence[Path]) -> str:
 
 
 def _line(key: str, value: float, low: float, high: float) -> str:
-    return f"{key} = {value:.3g}  # 95 %: {max(low, 0.0):.3g} to {high:.3g}"
+    return f"{key} = {value:.3g}  # 95 %: {low:.3g} to {high:.3g}"
 
 
-def _interval(sample: Array, statistic: Any) -> tuple[Any, Any]:
-    """Return a 95 % interval of a statistic of a sample by bootstrap."""
-    found = bootstrap(
-        (sample,),
-        statistic,
-        n_resamples=999,
-        vectorized=False,
-        method="percentile",
-        rng=0,
+def _bounds(presses: Sequence[Array]) -> Array:
+    """Return 95 % intervals (4, 2) by bootstrap over the specimens, then the presses of each."""
+    rng, n = np.random.default_rng(0), len(presses)
+    resampled = (
+        [rng.choice(presses[one], len(presses[one])) for one in rng.choice(n, n)]
+        for _ in range(RESAMPLES)
     )
-    return found.confidence_interval
+    with np.errstate(invalid="ignore"):  # all presses of a sample may be the same one
+        found = [_estimate(sample) for sample in resampled]
+    return np.asarray(np.nanpercentile(found, PERCENT, axis=0).T)
 
 
-def _spread(values: Array) -> float:
-    """Return the standard deviation relative to the mean."""
-    return float(np.std(values, ddof=1) / np.mean(values))
+def _noise_bounds(readings: Array) -> Array:
+    """Return a 95 % interval of the standard deviation of readings by bootstrap."""
+    rng = np.random.default_rng(0)
+    found = [rng.choice(readings, len(readings)).std() for _ in range(RESAMPLES)]
+    return np.percentile(found, PERCENT)
 
 
-def _estimate(presses: Array, owners: Array) -> tuple[Array, Array]:
-    """Return each specimen's threshold, N; and the mean threshold and release, N, with the delay, s."""
-    of_specimen = owners == np.unique(owners)[:, None]  # (k, n)
-    shares = of_specimen / of_specimen.sum(axis=1, keepdims=True)
-    means = shares @ presses  # (k, 4)
-    around = presses - of_specimen.T @ means
+def _estimate(presses: Sequence[Array]) -> Array:
+    """Return threshold and release, N, delay, s, and the relative spread of the threshold.
+
+    They are the means of specimens, each of which has presses (n, 4).
+    """
+    means = np.array([each.mean(axis=0) for each in presses])
+    around = np.concatenate([each - each.mean(axis=0) for each in presses])
     forces, rates = around[:, 0::2], around[:, 1::2]
-    delay = (forces * rates).sum() / (rates**2).sum()
-    levels = means[:, 0::2] - delay * means[:, 1::2]
-    return levels[:, 0], np.array([*levels.mean(axis=0), delay])
+    delay = np.maximum((forces * rates).sum() / (rates**2).sum(), 0.0)
+    levels = (means[:, 0::2] - delay * means[:, 1::2]).clip(0.0)
+    threshold, release = levels.mean(axis=0)
+    spread = np.std(levels[:, 0], ddof=min(1, len(presses) - 1)) / threshold
+    return np.array([threshold, min(release, threshold), delay, spread])
 
 
 def _gain(log: _Log, delay: float) -> float:
@@ -134,11 +136,19 @@ def _read(path: Path) -> _Log:
             raise ValueError(
                 f"columns: found {header[:50]!r}, allowed {COLUMNS} (s, N, any unit)"
             )
-        if text.count("\n") < 3:
-            raise ValueError("found no lines, allowed some seconds of them")
-        rows = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
-        _require_units(rows)
-        return _pressed(*rows.T)
+        rows = []
+        for number, line in enumerate(text.rstrip().splitlines()[1:], 2):
+            try:
+                time, force, reading = map(float, line.split(","))
+            except ValueError:
+                raise ValueError(
+                    f"line {number}: found {line[:50]!r}, allowed three numbers"
+                ) from None
+            rows.append((time, force, reading))
+        if len(rows) < 3:
+            raise ValueError(f"lines: found {len(rows)}, allowed some seconds of them")
+        _require_units(np.array(rows))
+        return _pressed(*np.array(rows).T)
 
 
 def _require_units(rows: Array) -> None:
@@ -158,6 +168,9 @@ def _pressed(time: Array, force: Array, reading: Array) -> _Log:
     """Return where a sensor fires and stops; ValueError where a log does not tell."""
     step = float(np.median(np.diff(time)))
     smooth = uniform_filter1d(force, max(1, round(WINDOW / step)))
+    first = smooth[: round(REST / step)]
+    if abs(first.mean()) > PRESSED[0] > np.ptp(first):
+        raise ValueError(f"the force at rest is {first.mean():.3g} N: tare it")
     pressed = smooth > max(PRESSED[0], PRESSED[1] * smooth.max())
     edges = np.flatnonzero(np.diff(pressed.astype(int), prepend=0, append=0))
     begins, ends = edges[0::2], edges[1::2]
@@ -171,6 +184,8 @@ def _pressed(time: Array, force: Array, reading: Array) -> _Log:
         )
     sign = np.sign(np.mean((force - force.mean()) * (reading - reading.mean())))
     fires = sign * (reading - rest.mean()) > SIGMAS * rest.std()
+    if not fires.any():
+        raise ValueError(f"the reading never leaves its rest, {asked}")
     cuts = [0, *((ends[:-1] + begins[1:]) // 2), len(time) - 1]
     presses = []
     for begin, end in pairwise(cuts):

@@ -210,6 +210,8 @@ def _what_to_try(variant: GraspConfig) -> str:
         return "Try other layouts (--layout)."
     force = variant.taxel_threshold
     flag = "" if force is None else f" --taxel-threshold {force:g}"
+    if variant.sensor:
+        flag += f" --sensor {variant.sensor}"
     return f"Try tactilerl design{flag}, which looks for places where it pays."
 
 

@@ -56,10 +56,9 @@ def parse_parts(
     options = dataclasses.make_dataclass("Options", kinds)
     read: Any = parse(options, args, prog, about, options(**parts))
     scene: Any = parts.get("scene")
-    if scene is None or (read.scene.sensor, read.scene.touch) == (
-        scene.sensor,
-        scene.touch,
-    ):
+    if scene is None or not (scene.sensor or read.scene.sensor):
+        return read
+    if (read.scene.sensor, read.scene.touch) == (scene.sensor, scene.touch):
         return read
     deciding = "sensor", "touch", "touch_rule", "control_dt"
     with input_errors():

@@ -46,6 +46,7 @@ def test_a_file_is_read_in_si_units_and_what_it_lacks_is_unknown(tmp_path):
         ("threshold_N = nan", "sensor.threshold_N: found nan, allowed"),
         ("delay_ms = '20'", "sensor.delay_ms: found '20', allowed a number or None"),
         ("threshold_N = 0.1\nrelease_N = 0.2", "release_N: found 0.2, allowed up to threshold_N, 0.1"),
+        ("threshold_N = 2\nsaturates_N = 1", "threshold_N: found 2.0, allowed up to saturates_N, 1.0"),
         ("release_N = 0.2", "release_N: found without threshold_N"),
         ("dead =", "not valid TOML"),
         ("[cost]\nboard = 40", "cost.each: found None, allowed a number"),
@@ -62,12 +63,14 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path, content, said):
 
 
 def test_other_names_and_files_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"sensor: found 'fsr2', allowed: biotac, .*, FILE\.toml"):
+    with pytest.raises(
+        ValueError, match=r"found 'fsr2', did you mean fsr\? allowed: biotac, .*, FILE\.toml"
+    ):
         sensors.load("fsr2")
     with pytest.raises(FileNotFoundError, match=r"sensor file 'none\.toml' does not exist"):
         sensors.load("none.toml")
     (tmp_path / "empty.toml").write_text("")
-    with pytest.raises(ValueError, match="sensor: found None, allowed a table"):
+    with pytest.raises(ValueError, match=r"table \[sensor\] is missing"):
         sensors.load(tmp_path / "empty.toml")
 
 

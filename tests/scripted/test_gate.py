@@ -119,12 +119,12 @@ def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_
 @pytest.mark.parametrize(
     ("task", "what"),
     [
-        ("handover", "Try tactilerl design --taxel-threshold 0.3, which looks for places"),
+        ("handover", "Try tactilerl design --taxel-threshold 0.3 --sensor fsr, which looks for places"),
         ("lift-and-hold", "Try other layouts (--layout)."),
     ],
 )
 def test_what_to_try_where_touch_does_not_pay(task, what):
-    variant = setup("mpl", task=task, layout="6", taxel_threshold=0.3)
+    variant = setup("mpl", task=task, layout="6", sensor="fsr", taxel_threshold=0.3)
     results = found(timed=0.2, touch=0.49, sighted=0.9)
     others = found(touch=0.5)  # which is just enough
     said = gate.Comparison(results, [(variant, results[1])]).sentences()
