@@ -46,6 +46,7 @@ def test_the_control_of_a_study_has_the_sensor_and_no_numbers():
     assert (on.taxel_threshold, off.taxel_threshold) == (0.2, None)
 
 
+@pytest.mark.slow
 def test_env_and_gate_take_a_sensor(capsys):
     assert "fsr                  Force-sensing resistor, 8 mm" in printed(capsys, ["env"])
     printed(capsys, ["env", "--env", "mpl", "--sensor", "fsr", "--touch-rule", "force"])

@@ -40,7 +40,7 @@ WRONG = [
     ({"taxel_threshold_spread": 0.1, "touch_rule": "force"}, "_spread: .* only with touch_rule skin"),
     ({"sensor": "switch", "taxel_threshold": 0.1}, "taxel_release: found 0.2 N, allowed up to"),
     ({"sensor": "fsr", "control_dt": 0.0}, "control_dt: found 0.0"),
-    ({"sensor": "fsr3"}, "sensor: found 'fsr3', did you mean fsr? allowed: biotac"),
+    ({"sensor": "fsr3"}, "sensor: found 'fsr3', did you mean fsr\\? allowed: biotac"),
     ({"giver_force": 1.0}, "giver_force: found 1.0, allowed only with task handover"),
     ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
     ({"object": "box,cylinder", "object_size": ("0.04..0.05", 0.05)}, "object_size: found 2 numbers"),

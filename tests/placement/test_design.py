@@ -428,6 +428,7 @@ class TestCommand:
         layout = tactilerl.design(scene="handover", taxels=2, **few)
         assert len(tactilerl.make(scene="handover", layout=layout).unwrapped.taxels) == 2
 
+    @pytest.mark.slow
     def test_every_set_waits_as_suits_it_best(self, capsys):
         args = ["design", "--scene", "handover_anywhere", *FEW, "--starts", "8", "--test-starts", "8"]
         rows = {}
