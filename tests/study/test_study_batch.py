@@ -83,6 +83,7 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_batch_that_was_killed_goes_on_as_if_it_had_not_been(
     tmp_path, in_a_loop, monkeypatch, capsys
 ):
