@@ -367,9 +367,8 @@ class PPO(Learner):
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Keep the epoch's episodes to learn from; return counts and means."""
         self.episodes = require_transitions(episodes)
-        self.epochs += (
-            1  # so an epoch learns with the key after the one that it was played with
-        )
+        # So an epoch learns with the key after the one that it was played with.
+        self.epochs += 1
         stats = summary(episodes)
         self.env_steps += int(stats.pop("steps"))
         return stats
@@ -384,9 +383,8 @@ class PPO(Learner):
         silent epoch, only the critic is updated.
         """
         config, batch = self.config, self._batch()
-        verdict = (
-            self.judge()
-        )  # after the batch, whose log_prob is of the actor that played
+        # After the batch, whose log_prob is of the actor that played.
+        verdict = self.judge()
         learns = verdict == "learn"
         self._keep_or_undo(verdict)
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
@@ -399,11 +397,8 @@ class PPO(Learner):
                 )
                 actor_losses += of_actor
                 value_losses += of_critic
-                if (
-                    learns
-                    and config.target_kl
-                    and of_actor[-1].kl.item() > config.target_kl
-                ):
+                limit = config.target_kl if learns else None
+                if limit and of_actor[-1].kl.item() > limit:
                     break
         actor_losses = actor_losses or [ActorLoss(*torch.zeros(3))]  # in a silent epoch
         losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))

@@ -22,16 +22,11 @@ from .state import Array
 
 RADIUS = 8e-3  # m, of a fingertip, or of what is pressed into the palm
 STIFFNESS = 0.885  # times modulus × thickness × ease, 1/s²
-LEAST, MOST, WIDTH, POWER = (
-    0.548,
-    0.95,
-    5.556,
-    12.0,
-)  # of the impedance; the width is an x
+# Of the impedance; the width is an x.
+LEAST, MOST, WIDTH, POWER = 0.548, 0.95, 5.556, 12.0
 RELAXATION = 0.01  # s, damping / stiffness
-STEADY = (
-    1.0  # what 1/s² × timestep² and 1/s × timestep may be, so that no contact shakes
-)
+# What 1/s² × timestep² and 1/s × timestep may be, so that no contact shakes.
+STEADY = 1.0
 
 
 @dataclass(frozen=True)

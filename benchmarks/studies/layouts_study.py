@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import scipy.stats
-from matplotlib.figure import Figure
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study.records import Record
@@ -23,7 +22,7 @@ from tactilerl.study.report import p_value
 
 from benchmarks.command import data, markdown
 from benchmarks.studies.learner_tables import DEAD, HANDS, part
-from benchmarks.studies.setups_study import concordance
+from benchmarks.studies.setups_study import concordance, drawn
 from benchmarks.studies.study_tables import estimate, load, title
 
 STUDY = "layouts"
@@ -219,10 +218,9 @@ def predicted(x: Array, y: Array, by_hand: bool) -> float:
     the common slope; of a left-out hand, differences from its mean are.
     """
     n_hands, n_layouts = y.shape
-    is_left_out = np.ones((n_hands, n_layouts), bool)
     sum_of_errors = sum_of_squares = 0.0
     for h, k in itertools.product(range(n_hands), [slice(None)] if by_hand else range(n_layouts)):
-        keep = is_left_out.copy()
+        keep = np.ones((n_hands, n_layouts), bool)
         keep[h, k] = False
         others = keep[h] if keep[h].any() else ~keep[h]
         rows = [(x[i][keep[i]], y[i][keep[i]]) for i in range(n_hands) if keep[i].sum() > 1]
@@ -298,22 +296,13 @@ def show_budgets() -> None:
 def draw(folder: Path) -> None:
     """Draw the last test of each layout in each set-up, with intervals over the seeds."""
     of = cells()
-    picture = Figure(figsize=(8, 0.8 + 0.7 * len(of)), layout="constrained")
-    axes = picture.subplots()
-    colours = [*style.MORE_COLOURS[: len(PAPERS)], *style.GROUPS[:2], "0.6"]
-    for i, name in enumerate((*LAYOUTS, NONE)):
-        weights = np.eye(len(LAYOUTS) + 1)[i]
-        levels = [contrast({s: group}, weights)[0] for s, group in of.items()]
-        value, low, high = np.transpose(levels)
-        places = np.arange(len(of)) + 0.09 * (i - 4)
-        error = value - low, high - value
-        axes.errorbar(
-            value, places, xerr=error, fmt="o", ms=4, color=colours[i % len(colours)], label=name
-        )
-    axes.set_yticks(range(len(of)), [name_of(setup) for setup in of])
-    axes.invert_yaxis()
-    axes.set(xlabel="success in the last test, without noise", xlim=(0, 1))
-    picture.legend(loc="outside lower center", ncols=5)
+    levels = {
+        name: [contrast({s: group}, weights)[0] for s, group in of.items()]
+        for name, weights in zip((*LAYOUTS, NONE), np.eye(len(LAYOUTS) + 1), strict=True)
+    }
+    colours = *style.MORE_COLOURS[: len(PAPERS)], *style.GROUPS[:2], "0.6"
+    picture = drawn(levels, [*map(name_of, of)], colours)
+    picture.axes[0].set(xlabel="success in the last test, without noise", xlim=(0, 1))
     picture.savefig(folder / "layouts_study.png", dpi=style.DPI, metadata={"Software": None})
 
 

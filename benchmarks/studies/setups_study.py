@@ -325,23 +325,28 @@ def show_predictors() -> None:
 def draw(folder: Path) -> None:
     """Draw what each layout reaches in each set-up, with t intervals over the seeds."""
     by_setup = in_whole_seeds()
-    picture = Figure(figsize=(7, 0.5 + 0.55 * len(by_setup)), layout="constrained")
-    axes = picture.subplots()
-    places = np.arange(len(by_setup))
     rows = zip(*(over_setups([groups]) for groups in by_setup.values()), strict=True)
-    for i, (name, levels) in enumerate(zip((*LAYOUTS, NONE), rows, strict=True)):
-        means, low, high = np.transpose([(one.value, one.low, one.high) for one in levels])
-        colour = (*style.MORE_COLOURS[:3], *style.GROUPS[:2])[i]
-        shown: dict[str, Any] = {"fmt": "o", "ms": 5, "lw": 1.5, "color": colour, "label": name}
-        half = means - low, high - means
-        axes.errorbar(means, places + 0.13 * (i - 2), xerr=half, **shown)
-    axes.set_yticks(places, [str(setup) for setup in by_setup])
+    levels = dict(zip((*LAYOUTS, NONE), rows, strict=True))
+    picture = drawn(levels, [*map(str, by_setup)], (*style.MORE_COLOURS[:3], *style.GROUPS[:2]))
+    picture.axes[0].set(xlabel="mean success over the run", xlim=(0, None))
+    picture.suptitle("Success by layout, in each set-up", **style.HEAD)
+    picture.savefig(folder / "setups.png", dpi=style.DPI, metadata={"Software": None})
+
+
+def drawn(levels: dict[str, Sequence[Estimate]], names: list[str], colours: Sequence[str]) -> Figure:
+    """Return a figure with a row for each set-up, by name, and in it the level of each layout."""
+    picture = Figure(figsize=(7, 0.5 + 0.55 * len(names)), layout="constrained")
+    axes, rows = picture.subplots(), np.arange(len(names))
+    for i, (layout, of_layout) in enumerate(levels.items()):
+        means, low, high = np.transpose([(one.value, one.low, one.high) for one in of_layout])
+        places = rows + 0.65 / len(levels) * (i - (len(levels) - 1) / 2)
+        shown: dict[str, Any] = {"fmt": "o", "ms": 5, "lw": 1.5, "color": colours[i], "label": layout}
+        axes.errorbar(means, places, xerr=(means - low, high - means), **shown)
+    axes.set_yticks(rows, names)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
-    axes.set(xlabel="mean success over the run", xlim=(0, None))
-    picture.suptitle("Success by layout, in each set-up", **style.HEAD)
-    picture.legend(loc="outside lower center", ncols=len(LAYOUTS) + 1)
-    picture.savefig(folder / "setups.png", dpi=style.DPI, metadata={"Software": None})
+    picture.legend(loc="outside lower center", ncols=5)
+    return picture
 
 
 TABLES = {
