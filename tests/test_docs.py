@@ -255,9 +255,7 @@ def test_numbers_in_the_text_of_a_study_are_those_of_its_tables(name, tables_of,
     tables = "\n".join(line for one in tables_of for line in re.findall(r"(?m)^\|.*", pages[one]))
     text = "\n".join(re.findall(r"(?m)^[^|\n].*", pages[name]))
     known = {*re.findall(r"\d+\.\d+", tables), *others, "0.95", "0.05"}  # 95 %, the level
-    found = set(
-        re.findall(r"(?<![\d.])\d\.\d+", re.sub(r"\(http\S+|\d\.\d\.\d", "", text))
-    )
+    found = set(re.findall(r"(?<![\d.])\d\.\d+", re.sub(r"\(http\S+|\d\.\d\.\d", "", text)))
     percent = re.findall(r"\d+", " ".join(re.findall(r"[\d to]+ %", text)))
     found |= {f"{int(share) / 100:.2f}" for share in percent}
     assert found <= known
