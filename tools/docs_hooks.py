@@ -1,9 +1,9 @@
 """What the site of the docs has from the code, while mkdocs builds it.
 
-The pages in docs/reference are complete in a repository's browser; the site adds what would go stale if
-it were written by hand: the flags of every command, signatures and docstrings, the hyperparameters of
-each learner, a page on each environment, the version, and a link to the repository that the checkout
-was cloned from.
+The pages in docs are complete in a repository's browser; the site adds what would go stale if it were
+written by hand: the flags of every command, signatures and docstrings, the hyperparameters of each
+learner, a page on each environment, the version, and a link to the repository that the checkout was
+cloned from.
 """
 
 from __future__ import annotations
@@ -85,13 +85,16 @@ def repository() -> str:
 
 
 def on_files(files: Any, *, config: Any) -> Any:
-    """Add the README and a page for each environment to the files of the site."""
+    """Add the README and the pages that come from code to the files of the site."""
     from mkdocs.structure.files import File  # only where a site is built
 
     pages = {
         f"environments/{name}.md": environments.page(name)
         for name in environments.names()
     }
+    calls = [call for name in cli.COMMANDS for call in SEVERAL.get(name, (name,))]
+    pages["flags.md"] = "# Every flag\n" + "".join(map(flags, calls))
+    pages["api.md"] = "# Every name in Python\n\n" + "".join(map(entry, python()))
     for path, text in {"index.md": home(), **pages}.items():
         files.append(File.generated(config, path, content=text))
     return files
@@ -106,15 +109,9 @@ def home() -> str:
     return re.sub(rf"\[([^\]]*)\]\((?:{outside})\)", r"\1", text)
 
 
-def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Return a page without links to code, which the site has not, and with what comes from code."""
-    markdown = re.sub(r"\[([^\]]*)\]\((?:\.\./)+[\w/]+\.py\)", r"\1", markdown)
-    if page.file.src_uri == "reference/command-line.md":
-        calls = [call for name in cli.COMMANDS for call in SEVERAL.get(name, (name,))]
-        return markdown + "".join(map(flags, calls))
-    if page.file.src_uri == "guides/python.md":
-        return f"{markdown}\n## Entries\n\n" + "".join(map(entry, python()))
-    return markdown
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Return a page without links to code, which the site has not."""
+    return re.sub(r"\[([^\]]*)\]\((?:\.\./)+[\w/]+\.py\)", r"\1", markdown)
 
 
 def entry(name: str) -> str:
