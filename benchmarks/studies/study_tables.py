@@ -47,6 +47,8 @@ PAPER = {
 """Means of the paper's Tables 1 and 2 by layout: converged rate with touch, and without."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
 DESIGN_STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
+HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro"}
+DEAD = 0.05  # a run whose second half is below learned nothing
 Place = tuple[str, str, str, str]
 """Study, set-up, setting and group of some runs."""
 
@@ -71,6 +73,18 @@ def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     common = study_pairs.span(itertools.chain(*groups))
     rates = [{one.run.seed: study_pairs.within(one, *common)[1] for one in group} for group in groups]
     return [{seed: statistics.end_rate(y, 0.1) for seed, y in of.items()} for of in rates]
+
+
+def part(record: Record, begin: float, column: str = "success_rate", end: float = 1.0) -> float:
+    """Return the mean of a column between two fractions of a run's steps, by steps.
+
+    A row is of the steps up to its own.
+    """
+    steps, values = record.column("env_steps"), record.column(column)
+    before = np.r_[0.0, steps[:-1]]
+    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
+    weights = np.clip(until - since, 0.0, None)
+    return float(np.average(values, weights=weights))
 
 
 def label(setting: str) -> str:
@@ -307,30 +321,6 @@ def designed(learner: str) -> None:
     )
 
 
-def design_goals() -> None:
-    """Print how well a few chosen taxels do in unseen starts of each handover."""
-    rows = []
-    for row in data("design")["goals"]["rows"]:
-        felt, gate = interval(row["felt"], *row["felt_interval"]), row["gate"]
-        ahead = estimate(row["difference"]["felt"], "+.2f"), estimate(gate["difference"], "+.2f")
-        rate = interval(gate["rate"], *gate["interval"])
-        rows.append((row["scene"], row["taxels"], felt, ahead[0], rate, ahead[1]))
-    head = "| scene | taxels | felt | − layout 1 | scripted hand with touch | − layout 1 |"
-    markdown(head, rows)
-
-
-def design_hands() -> None:
-    """Print a scripted hand's success with each layout, by how far closed it waits."""
-    rows = []
-    for hand, by_layout in data("design")["hands"].items():
-        for name, row in by_layout.items():
-            waits = [f"{rate:.2f}" for rate in row["waits"].values()]
-            best = interval(row["best"]["success"], *row["best"]["interval"])
-            rows.append((style.NAMES[hand], name, row["taxels"], *waits, best))
-    head = " | ".join(f"{0.1 * wait:.1f}" for wait in range(1, 6))
-    markdown(f"| hand | layout | taxels | {head} | at its best |", rows)
-
-
 # -- helpers -----------------------------------------------------------------------------
 
 
@@ -440,8 +430,6 @@ TABLES = tables(
     ("paper ppo", layouts, "paper", "pybullet"),
     ("learned ppo", learned, {"PPO, 50,000 steps": ("learners", "ppo", "layout 4", "")}),
     ("learned updates", learned, UPDATES),
-    ("design goals", design_goals),
-    ("design hands", design_hands),
     ("design ppo", designed, "ppo"),
     ("design ddpg_her", designed, "ddpg_her"),
 )
