@@ -13,6 +13,7 @@ import torch
 from filelock import FileLock
 from tactilerl.envs.hands import HANDS, sandbox
 from tactilerl.envs.simulators import mujoco
+from tactilerl.scripted import reflexes
 from tactilerl.study import jobs
 
 from tiny_study import in_this_process
@@ -97,6 +98,13 @@ def hand(request):
 def read_here(monkeypatch):
     """Hands are read in this process, which is faster; test_hostile_hands.py tests the usual way."""
     monkeypatch.setattr(sandbox, "call", lambda function, *args: function(*args))
+
+
+@pytest.fixture
+def few_reflexes(monkeypatch):
+    """`gate` and `design` choose scripted hands from three reflexes of each sense, not from fifteen."""
+    candidates = reflexes.candidates
+    monkeypatch.setattr(reflexes, "candidates", lambda *args: candidates(*args)[::7])
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ def test_the_control_of_a_study_has_the_sensor_and_no_numbers():
     assert (on.taxel_threshold, off.taxel_threshold) == (0.2, None)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("few_reflexes")
 def test_env_and_gate_take_a_sensor(capsys):
     assert "fsr                  Force-sensing resistor, 8 mm" in printed(capsys, ["env"])
     printed(capsys, ["env", "--env", "mpl", "--sensor", "fsr", "--touch-rule", "force"])
@@ -58,6 +58,7 @@ def test_env_and_gate_take_a_sensor(capsys):
     fails_with(capsys, ["env", "--sensor", "no.toml"], "sensor file 'no.toml' does not exist")
 
 
+@pytest.mark.usefixtures("few_reflexes")
 def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys):
     scene = ["--scene", "handover", "--sensor"]
     few = ["--starts", "1", "--search", "1", "--workers", "1"]

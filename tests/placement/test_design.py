@@ -384,7 +384,7 @@ def test_layouts_are_compared_with_the_best_in_the_starts_to_choose_from():
     ]
 
 
-@pytest.mark.usefixtures("in_tmp")
+@pytest.mark.usefixtures("in_tmp", "few_reflexes")
 class TestCommand:
     def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys, monkeypatch):
         examined, examine = [], gate.examine

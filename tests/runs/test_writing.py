@@ -48,6 +48,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.usefixtures("few_reflexes")
 def test_what_exists_stays_unless_it_is_to_be_overwritten(name, capsys):
     Path("victim").write_text("mine")
     path = Path(name)
