@@ -23,7 +23,7 @@ def test_every_policy_is_evaluated_and_all_are_small():
 
 @pytest.mark.parametrize("name", RATES)
 def test_shipped_policies_succeed_as_they_did(name, capsys):
-    evaluate = ["evaluate", POLICIES / name, "--episodes", "12", "--workers", "2", "--json"]
+    evaluate = ["evaluate", POLICIES / name, "--episodes", "6", "--workers", "2", "--json"]
     low, high = RATES[name]
     assert low <= json.loads(printed(capsys, evaluate))["success_rate"] <= high
 
