@@ -295,18 +295,11 @@ class TestBadInput:
     def test_what_was_meant(self, typed, hint, capsys):
         fails_with(capsys, typed.split(), hint)
 
-    @pytest.mark.parametrize(
-        ("args", "way", "words"),
-        [
-            (["env"], "foo", "invalid value for environment variable MUJOCO_GL: foo"),
-            (["render", "--layout", "1"], "glfw", "MuJoCo cannot draw here; without a display"),
-        ],
-    )
-    def test_ways_to_draw_that_are_not_here(self, args, way, words):
+    def test_a_way_to_draw_that_is_not_here(self):
         pytest.importorskip("imageio.v2")
-        done = python("-m", "tactilerl", *args, MUJOCO_GL=way)
+        done = python("-m", "tactilerl", "render", "--layout", "1", MUJOCO_GL="glfw")
         assert done.returncode == 2
-        assert done.stderr.startswith(f"tactilerl: error: {words}"), done.stderr
+        assert done.stderr.startswith("tactilerl: error: MuJoCo cannot draw here; without a display")
         assert done.stderr.count("\n") == 1
 
     def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):

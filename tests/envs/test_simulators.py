@@ -88,7 +88,7 @@ class TestPhysics:
         env = GraspEnv(hand, setup(hand, simulator=simulator, layout="1"))
         start = scripted.perturbed_start(env, 3, 0)
         held, bits = [], []
-        for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, 1.0):
+        for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
             held.append(is_up)
             bits.append(env.taxel_readings().sum())
         assert held[-1]

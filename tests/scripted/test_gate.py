@@ -84,6 +84,7 @@ class TestReflexes:
         assert came < went + 3 <= came + env.task.stays + 2
         assert all(is_closed[went:])
 
+    @pytest.mark.slow
     def test_a_longer_squeeze_tells_more(self):
         env = envs.make(scene="handover", touch="absent")
         starts = range(10_000, 10_020)

@@ -64,6 +64,7 @@ def test_no_scheduler_there(tmp_path, capsys):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies(tmp_path, capfd):
     import dask
     import distributed  # noqa: F401
