@@ -104,6 +104,7 @@ class TestTrain:
 
     def test_warnings_of_the_simulator_are_counted(self, capsys, little_memory):
         args = ["train", *FAST, "--env", "shadow", "--simulator", "mujoco", "--task", "reach-goal"]
+        args += ["--max-episode-steps", "25"]
         out = printed(capsys, [*args, "--total-timesteps", "150", "--out", "run"])
         rows = progress(Path("run"))
         counted = sum(float(row["warnings"]) + float(row.get("test_warnings", 0)) for row in rows)

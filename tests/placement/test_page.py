@@ -43,7 +43,7 @@ def played(rng, n_taxels):
     return Starts(fires, succeeds, sets_off, lets_go)
 
 
-@pytest.fixture(scope="module", params=["", "digit"])
+@pytest.fixture(scope="module", params=[pytest.param("", marks=pytest.mark.slow), "digit"])
 def design(request):
     flags = DesignFlags(
         scene=("handover",), skin="6mm", survives=request.param, start_closing=(0.2, 0.3)
