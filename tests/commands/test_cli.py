@@ -78,7 +78,7 @@ class TestTrain:
     @pytest.mark.parametrize(
         ("hand", "algo"),
         [
-            ("shadow", "ppo"),
+            ("mpl --simulator mujoco", "ppo"),
             pytest.param("shadow", "ddpg_her", marks=pytest.mark.slow),
             pytest.param("mpl", "ppo", marks=[pytest.mark.pybullet, pytest.mark.slow]),
             pytest.param("mpl", "ddpg_her", marks=[pytest.mark.pybullet, pytest.mark.slow]),
@@ -88,10 +88,10 @@ class TestTrain:
     def test_same_run_with_any_number_of_workers(self, algo, hand, capsys):
         """In threads and in processes, of ours and not; a run may also go on with another number."""
         args = HER if algo == "ddpg_her" else ["train", *FAST, "--steps-per-epoch", "40"]
-        args = [*args, "--env", hand]
+        args = [*args, "--env", *hand.split()]
         if hand != "Pendulum-v1":
             args += ["--max-episode-steps", "8", "--layout", "5"]
-        more = "5" if hand == "shadow" else "2"  # a process takes seconds to start, a thread does not
+        more = "2" if hand in ("mpl", "Pendulum-v1") else "3"  # processes take seconds to start
         for workers in ("1", more):
             run = [*args, "--workers", workers, "--out", workers]
             assert main([*run, "--total-timesteps", "60"]) == 0
