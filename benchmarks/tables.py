@@ -33,8 +33,7 @@ def _parts(name: str, show: Callable[..., None], *parts: str) -> Callable[[], No
 
 
 def _settings(pair: str) -> Callable[[], None]:
-    hand = pair.split()[0]
-    return lambda: speed_vs_error.show(hand, data("speed_vs_error")[pair]["settings"])
+    return lambda: speed_vs_error.show(data("speed_vs_error")[pair]["settings"])
 
 
 PRINTED: dict[str, Callable[[], None]] = {
