@@ -104,7 +104,6 @@ class TestTrain:
 
     def test_warnings_of_the_simulator_are_counted(self, capsys, little_memory):
         args = ["train", *FAST, "--env", "shadow", "--simulator", "mujoco", "--task", "reach-goal"]
-        args += ["--max-episode-steps", "25"]
         out = printed(capsys, [*args, "--total-timesteps", "150", "--out", "run"])
         rows = progress(Path("run"))
         counted = sum(float(row["warnings"]) + float(row.get("test_warnings", 0)) for row in rows)
@@ -159,9 +158,10 @@ class TestResume:
 
     @pytest.mark.parametrize("algo", [pytest.param("ppo", marks=pytest.mark.slow), "ddpg_her"])
     def test_killed_run_equals_the_uninterrupted_one(self, algo):
-        """kill -9 after a checkpoint, on the real hand."""
+        """kill -9 after a checkpoint, with a hand."""
         args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER
-        args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
+        args = [*args, "--env", "mpl", "--simulator", "mujoco", "--layout", "6"]
+        args += ["--max-episode-steps", "20"]
         args += ["--total-timesteps", "240", "--recipe", "robust"]
         main([*args, "--out", "whole"])
         command = [sys.executable, "-m", "tactilerl", *args, "--out", "killed"]
