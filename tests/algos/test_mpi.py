@@ -100,7 +100,7 @@ def launched(tmp_path_factory, launches):
     folder = tmp_path_factory.mktemp("launched")
     (folder / "check.py").write_text(LAUNCHED)
     (folder / "faulty.py").write_text(FAULTY)
-    commands = [["train", "--env", "lqr"]]
+    commands = []
     commands += [[*REACH, "--total-timesteps", "400", "--out", "whole"]]
     commands += [[*REACH, "--total-timesteps", "200", "--out", "parts"]]
     commands += [["train", "--resume", "parts", "--total-timesteps", "400"]]
@@ -137,12 +137,15 @@ def test_ranks_train_one_writes_and_resume_is_exact(launched):
     assert len(set(map(flat, whole))) == 1  # bit-equal parameters
 
 
-def test_ppo_is_refused_in_one_line(launched):
-    folder, result = launched
+def test_ppo_is_refused_in_one_line(launches):
+    command = [str(MPIRUN), "--oversubscribe", "-n", "2", sys.executable, "-m", "tactilerl"]
+    with launches:
+        result = subprocess.run([*command, "train", "--env", "lqr"], capture_output=True, text=True)
+    assert result.returncode == 2
     lines = result.stderr.replace("\0", "").splitlines()  # a launcher may write NULs
     said = [line for line in lines if "ranks: found" in line]
     assert said == [f"tactilerl: error: {WITHOUT_MPI}"]
-    assert not (folder / "runs").exists()
+    assert not Path("runs").exists()
 
 
 def test_a_fault_on_one_rank_ends_all_with_the_reason(launched):

@@ -330,8 +330,9 @@ class TestBadInput:
             Path("run", name).touch()
         taxel = '[[taxel]]\nlink = "robot0:ffdistal"\nposition = [0, -0.00705, 0.017]\n'
         Path("few.toml").write_text(taxel)
-        short = ["--total-timesteps", "1", "--max-episode-steps", "3", "--out", "run"]
-        assert main(["train", "--env", "shadow", "--layout", "few.toml", *FAST, *short]) == 0
+        short = ["--steps-per-epoch", "3", "--max-episode-steps", "3", "--total-timesteps", "1"]
+        train = ["train", "--env", "shadow", "--layout", "few.toml", *FAST, *short]
+        assert main([*train, "--out", "run"]) == 0
         assert "robot0:ffdistal" in Path("run/layout.toml").read_text()
 
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
@@ -362,7 +363,7 @@ class TestOtherCommands:
             "offsets_mm = [[0, 0], [30, 0]]\nradius_mm = 2\n"
         )
         scene = ["--env", "shadow", "--layout", "far.toml"]
-        short = [*FAST, "--hold-seconds", "0.2", "--total-timesteps", "1", "--out", "run"]
+        short = [*FAST, "--steps-per-epoch", "2", "--max-episode-steps", "2", "--total-timesteps", "1"]
         for command in (["env", *scene], ["train", *scene, *short]):
             main(command)
             out = " ".join(capsys.readouterr().out.split())

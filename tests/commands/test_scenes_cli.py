@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from tactilerl.commands.cli import main
+from tactilerl.runs import still
 
 from one_line import fails_with, printed
 
@@ -78,8 +79,9 @@ class TestEvaluateWithOtherSensors:
         assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0
 
 
-def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path):
+def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path, monkeypatch):
     """Before training, and by `env`."""
+    monkeypatch.setattr(still, "N_STILL", 4)
     low = ["--env", "mpl", "--layout", "5", "--task", "reach-goal", "--goal-range", "0.01"]
     words = "a hand that stands still reaches the goal in 4 of 4 episodes"
     for height, tolerance, is_said in ((0.02, 0.03, True), (0.08, 0.03, False)):

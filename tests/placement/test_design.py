@@ -421,7 +421,7 @@ class TestCommand:
         assert without[0] == without[-1]  # design and gate mean the same hands
 
     def test_from_python(self):
-        few = dict(starts=1, test_starts=1, skin="20mm", beside=(), workers=1)
+        few = dict(starts=1, test_starts=2, skin="20mm", beside=(), workers=1)
         layout = tactilerl.design(scene="handover", taxels=2, **few)
         assert len(tactilerl.make(scene="handover", layout=layout).unwrapped.taxels) == 2
 

@@ -16,7 +16,7 @@ from tactilerl.terminal.console import progress
 
 from one_line import fails_with
 
-FEW = ["--starts", "6", "--search", "1", "--workers", "1", "--seed", "10000"]
+FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 
 
 def found(**rates):
