@@ -271,7 +271,6 @@ def descendants(pid):
     return found + [below for child in found for below in descendants(child)]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 def test_stopping_by_sigterm_ends_all_ranks_of_a_run_and_it_can_go_on(tmp_path, capsys, one_launch):
     below, is_over = [], threading.Event()
