@@ -85,6 +85,13 @@ def in_tmp(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture
+def few_reflexes(monkeypatch):
+    """`gate` and `design` choose scripted hands from three reflexes of each sense, not from fifteen."""
+    candidates = reflexes.candidates
+    monkeypatch.setattr(reflexes, "candidates", lambda *args: candidates(*args)[::7])
+
+
 @pytest.fixture(params=["mujoco", "pybullet"])
 def simulator(request):
     """Each of them in turn."""
@@ -101,13 +108,6 @@ def hand(request):
 def read_here(monkeypatch):
     """Hands are read in this process, which is faster; test_hostile_hands.py tests the usual way."""
     monkeypatch.setattr(sandbox, "call", lambda function, *args: function(*args))
-
-
-@pytest.fixture
-def few_reflexes(monkeypatch):
-    """`gate` and `design` choose scripted hands from three reflexes of each sense, not from fifteen."""
-    candidates = reflexes.candidates
-    monkeypatch.setattr(reflexes, "candidates", lambda *args: candidates(*args)[::7])
 
 
 @pytest.fixture

@@ -68,6 +68,11 @@ def with_nan():
     return policy
 
 
+def without_goal():
+    parts = {"observation": 2, "achieved_goal": 0, "desired_goal": 0}
+    return Short(gym.spaces.Dict({name: gym.spaces.Box(-1, 1, (n,)) for name, n in parts.items()}))
+
+
 def test_pytorchs_own_generator_is_left_alone():
     before = torch.random.get_rng_state()
     learner = short()
@@ -255,6 +260,7 @@ MISTAKES = [
     ),
     (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
     (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
+    (lambda: tactilerl.PPO("lqr", recipe=[1]), "recipe: found"),
     (lambda: tactilerl.evaluate(short(), Short(), episodes=10**6), "episodes: found 1000000"),
     (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
     (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
@@ -277,14 +283,27 @@ MISTAKES = [
     (lambda: tactilerl.PPO("handover"), "did you mean scene='handover' .* tactilerl/Handover-v0"),
     (lambda: short(action=gym.spaces.Box(-3e38, 3e38, (1,))), "Box of floats with finite bounds"),
     (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
+    (lambda: short(obs=(0,)), "space: found an empty one"),
+    (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: 'NoneType' object has no"),
     (lambda: tactilerl.make("shadow", friction=(0.5, 1)), r"friction: found \[0.5, 1\], allowed"),
     (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
     (lambda: tactilerl.evaluate(short(), Short(high=2.0)), "actions from -2 to 2, the policy's are"),
+    (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
+    (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
+    (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
     (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
     (lambda: short(obs=gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)), "images"),
     (lambda: short(obs=gym.spaces.Dict(a=gym.spaces.Box(-1, 1, (2,)))), "FlattenObservation"),
+    (lambda: short(action=gym.spaces.Box(0, 5, (1,), np.int64)), "Box of floats"),
+    (lambda: tactilerl.load_policy(None), "path: found None, allowed a path"),
+    (lambda: short().save(3), "path: found 3"),
+    (lambda: tactilerl.train("lqr", resume=3), "resume: found 3"),
+    (lambda: tactilerl.train("lqr", out=3), "out: found 3"),
     (lambda: tactilerl.train("lqr", out=""), "out: found '', allowed a path"),
+    (lambda: short().learn(20, callback=3), "callback: found 3, allowed a function"),
     (lambda: short(info={"is_success": math.nan}).learn(20), "env: found the is_success in info nan"),
+    (lambda: tactilerl.DDPGHER(without_goal()), "allowed a goal environment's"),
+    (lambda: tactilerl.evaluate(lambda obs: [math.nan], "lqr"), r"policy: its action: found \[nan\]"),
 ]
 
 
@@ -300,9 +319,15 @@ class TestMistakes:
         ("method", "returned", "words"),
         [
             ("step", (np.zeros(3), 0.0), r"env: .*: obs: found shape \(3,\), expected \(2,\)"),
+            ("step", (np.zeros((1, 2)), 0.0), "env: found a batch of observations"),
+            ("step", (np.zeros(2), [0.0]), r"env: found the reward \[0.0\], allowed a number"),
+            ("step", (np.zeros(2), None), "env: found the reward None"),
             ("step", (np.zeros(2), 0.0, "no"), "env: found the terminated no"),
+            ("step", (np.zeros(2), 0.0, False, None), "env: found the truncated None"),
+            ("step", (np.zeros(2) * 1j, 0.0), "env: found observations of type complex128"),
             ("step", None, r"env: found NoneType from step, allowed \(obs, reward, terminated"),
             ("reset", None, r"env: found NoneType from reset, allowed \(obs, info\)"),
+            ("reset", (1, 2, 3), "env: found 3 values from reset"),
         ],
     )
     def test_what_an_environment_should_not_return_is_said(self, method, returned, words):
@@ -339,7 +364,26 @@ class TestMistakes:
     def test_a_damaged_policy_is_refused(self):
         tactilerl.PPO("lqr", **PPO).save("policy.pt")
         whole = torch.load("policy.pt", weights_only=True)
-        for change in (dict(policy_format=99), dict(algo="sac"), dict(state={})):
+        parts = ", ".join(f'"{n}": [999999]' for n in range(99))
+        for change in (
+            dict(spaces=whole["spaces"].replace('"": [2]', parts)),
+            dict(spaces=whole["spaces"].replace("[2]", "[999999]"), learner='{"hidden": [9999]}'),
+            dict(learner=whole["learner"].replace("[16]", str(999 * [300]))),
+        ):  # small files that would take gigabytes
+            store.write_tensors(Path("bad.pt"), {**whole, **change})
+            with pytest.raises(ValueError, match=r"bad\.pt: damaged \(\w+: found "):
+                tactilerl.load_policy("bad.pt")
+        for change in (
+            dict(policy_format=99),
+            dict(algo="sac"),
+            dict(spaces="[]"),
+            dict(spaces=whole["spaces"].replace("[2]", "[3]")),
+            dict(spaces=whole["spaces"].replace("[2]", "[1e9]")),
+            dict(spaces=whole["spaces"].replace("float32", "nonsense")),
+            dict(state={"actor": {}}),
+            dict(state={}),
+            dict(another=1),
+        ):
             store.write_tensors(Path("bad.pt"), {**whole, **change})
             with pytest.raises(ValueError, match=r"bad\.pt: (damaged|not a policy)") as raised:
                 tactilerl.load_policy("bad.pt")

@@ -49,7 +49,6 @@ HOSTILE = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("model", "complaint"), HOSTILE, ids=range(len(HOSTILE)))
 def test_a_hostile_model_is_one_line(hand, model, complaint, capfd):
     for pipe in ("../pipe", "../pipe.stl"):
