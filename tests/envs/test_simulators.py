@@ -147,6 +147,7 @@ class TestPyBullet:
             left.append(targets[1] - simulator.state().joint_positions[1])
         np.testing.assert_allclose(np.diff(np.log(left)) / 0.05, -rate, rtol=0.05)
 
+    @pytest.mark.slow
     def test_a_held_cube_does_not_creep(self):
         env = GraspEnv("mpl", setup("mpl", layout="1"))
         drifts = []

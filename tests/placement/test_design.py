@@ -337,6 +337,7 @@ def test_starts_are_resampled_within_their_scenes():
     assert judge.difference([0], [1]) == pytest.approx((0.5, 0.5, 0.5))
 
 
+@pytest.mark.slow
 def test_success_after_the_worst_loss_has_no_bias_and_its_interval_holds():
     """Losses that cost alike: each start is felt by one of six taxels at most, so a loss costs 1/6."""
     rng, n, losses = np.random.default_rng(0), 100, np.eye(6, dtype=bool)
