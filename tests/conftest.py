@@ -29,8 +29,16 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 still.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes_cli.py does
 
 # The longest first, so that no core is idle at the end.
-LONG = ["test_cli", "test_design", "test_mpi", "test_study_run", "test_study_executors"]
-LONG += ["test_study_report", "test_api", "test_docs", "test_page"]
+LONG = [
+    "test_cli",
+    "test_design",
+    "test_batch",
+    "test_docs",
+    "test_ddpg_her",
+    "test_api",
+    "test_vector",
+]
+LONG += ["test_batch_env", "test_install", "test_study_report", "test_study_run", "test_export"]
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 

@@ -109,7 +109,7 @@ class TestTrain:
         counted = sum(float(row["warnings"]) + float(row.get("test_warnings", 0)) for row in rows)
         assert counted > 0
         assert f"the simulator warned {counted:.0f} times" in out
-        evaluate = ["evaluate", "run", "--episodes", "2", "--stochastic"]
+        evaluate = ["evaluate", "run", "--episodes", "4", "--stochastic"]
         result = json.loads(printed(capsys, [*evaluate, "--json"]))
         assert result["warnings"] > 0
         out = printed(capsys, evaluate)
