@@ -390,6 +390,7 @@ class TestOtherCommands:
         assert ((blue > 100) & (red < 60)).sum() > 20  # taxels that are off
         assert "taxels fire" in out
 
+    @pytest.mark.slow
     def test_a_film_shows_runs_side_by_side_from_the_same_starts_with_the_score(self, capsys):
         iio = pytest.importorskip("imageio.v3")
         pytest.importorskip("imageio_ffmpeg")
