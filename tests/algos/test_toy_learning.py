@@ -51,12 +51,14 @@ def test_ppo_comes_near_the_riccati_optimum(seed, steps, n_passes, most):
     assert returns.mean() / optimal.mean() < most
 
 
-@pytest.mark.parametrize(("seed", "steps"), [(0, 4_000), slow(1, 7_000), slow(2, 7_000)])
-def test_ddpg_her_reaches_points_from_sparse_rewards(seed, steps):
-    """Of 200 goals at least 95 %."""
+@pytest.mark.parametrize(
+    ("seed", "steps", "least"), [(0, 4_000, 0.8), *(slow(seed, 7_000, 0.95) for seed in range(3))]
+)
+def test_ddpg_her_reaches_points_from_sparse_rewards(seed, steps, least):
+    """Most of 200 goals, and 95 % where it takes its time."""
     config = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
     reached = [e.success for e in play(train(DDPGHER, "point-reach", config, steps, seed), 200)]
-    assert np.mean(reached) >= 0.95
+    assert np.mean(reached) >= least
 
 
 def test_robust_is_what_the_docs_say():
