@@ -16,25 +16,23 @@ export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 .PHONY: train policies test test-slow package lint bench film figures docs clean
 .NOTPARALLEL:
 
-# What training and films need: no PyBullet, no MPI, nothing for tests.
+# What training and films need (EXTRAS=render: no PyBullet, no MPI), and what tests need.
 TRAINING := $(VENV)/.installed-train
-$(TRAINING): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
+DEVELOPMENT := $(VENV)/.installed-dev
+$(TRAINING): EXTRAS := render
+$(DEVELOPMENT): EXTRAS := dev
+$(TRAINING) $(DEVELOPMENT): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "$(PYTHON): needs Python 3.11 or newer (make PYTHON=python3.12)" >&2; exit 1; }
 	@echo "setting up $(VENV) with PyTorch and MuJoCo: a few minutes"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python tools/install_torch.py --constraint constraints.txt --index $(TORCH_INDEX) $(CUDA:%=--cuda)
-	$(INSTALL) --editable ".[render]"
-	@touch $@
-	@echo "ready: . $(BIN)/activate"
-
-# PyBullet only where it has a wheel: without it, the tests that need it are skipped and say so.
-DEVELOPMENT := $(VENV)/.installed-dev
-$(DEVELOPMENT): $(TRAINING)
-	$(INSTALL) --editable ".[dev]"
-	$(INSTALL) -qq --only-binary pybullet pybullet || \
+	$(INSTALL) --editable ".[$(EXTRAS)]"
+	@# PyBullet only where it has a wheel: without it, the tests that need it are skipped and say so.
+	@test $(EXTRAS) = render || $(INSTALL) -qq --only-binary pybullet pybullet || \
 		echo "PyBullet: found no wheel for this Python; going on without it"
-	touch $@
+	@touch $(TRAINING) $@
+	@echo "ready: . $(BIN)/activate"
 
 # Two hands, the same but for touch, side by side on a core each. Goes on with runs that are there already.
 # xargs and not `&`: Ctrl-C reaches both, and either's failure is xargs'.

@@ -24,10 +24,10 @@ from tactilerl.study.analysis import analyse
 from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, STYLE
 
-from benchmarks.command import DOCS, no_flags
-from benchmarks.studies import setups_study, study_tables
+from benchmarks.command import DATA, DOCS, no_flags
+from benchmarks.studies import layouts_study, setups_study, study_tables
 
-IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
+IMAGES, FOUR = DOCS / "images", str(DATA / "chosen/anywhere_4.toml")
 GRASPS = [("shadow", "mujoco"), ("mpl", "mujoco"), ("mpl", "pybullet"), ("allegro", "mujoco")]
 CLOSES = 4  # actions before the object is let go, and after, in which a hand closes around it
 # Collected study: its set-ups whose curves are drawn, and the pictures.
@@ -102,5 +102,7 @@ def main() -> None:
             handover(name)
         study_tables.draw(IMAGES)
         setups_study.draw(IMAGES)
+        if (DATA / "layouts.tar.gz").is_file():  # once it has been run
+            layouts_study.draw(IMAGES)
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

@@ -19,7 +19,7 @@ from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import forces, hands, hard_cases, hold_verdict, softness, speed_vs_error
-from benchmarks.studies import gates, learner_tables, setups_study, study_tables
+from benchmarks.studies import gates, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -33,8 +33,7 @@ def _parts(name: str, show: Callable[..., None], *parts: str) -> Callable[[], No
 
 
 def _settings(pair: str) -> Callable[[], None]:
-    hand = pair.split()[0]
-    return lambda: speed_vs_error.show(hand, data("speed_vs_error")[pair]["settings"])
+    return lambda: speed_vs_error.show(data("speed_vs_error")[pair]["settings"])
 
 
 PRINTED: dict[str, Callable[[], None]] = {
@@ -54,7 +53,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     "hard cases": _of("hard_cases", hard_cases.show),
     "softness": _of("softness", softness.show),
     "softness grasps": _of("softness", softness.show_grasps),
-    **learner_tables.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},

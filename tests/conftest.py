@@ -13,6 +13,8 @@ import torch
 from filelock import FileLock
 from tactilerl.envs.hands import HANDS, sandbox
 from tactilerl.envs.simulators import mujoco
+from tactilerl.runs import still
+from tactilerl.scripted import reflexes
 from tactilerl.study import jobs
 
 from tiny_study import in_this_process
@@ -24,9 +26,19 @@ os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a waiting rank yie
 # A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+still.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes_cli.py does
+
 # The longest first, so that no core is idle at the end.
-LONG = ["test_cli", "test_design", "test_mpi", "test_study_run", "test_study_executors"]
-LONG += ["test_study_report", "test_api", "test_docs", "test_page"]
+LONG = [
+    "test_cli",
+    "test_design",
+    "test_batch",
+    "test_docs",
+    "test_ddpg_her",
+    "test_api",
+    "test_vector",
+]
+LONG += ["test_batch_env", "test_install", "test_study_report", "test_study_run", "test_export"]
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 
@@ -79,6 +91,13 @@ def _one_thread():
 def in_tmp(monkeypatch, tmp_path):
     """A working directory of its own, where what is written is nobody's."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def few_reflexes(monkeypatch):
+    """`gate` and `design` choose scripted hands from three reflexes of each sense, not from fifteen."""
+    candidates = reflexes.candidates
+    monkeypatch.setattr(reflexes, "candidates", lambda *args: candidates(*args)[::7])
 
 
 @pytest.fixture(params=["mujoco", "pybullet"])

@@ -48,7 +48,9 @@ def test_make_train_trains_two_hands_side_by_side_and_fails_where_one_does(tmp_p
     (tmp_path / "no_touch").mkdir()
     (tmp_path / "no_touch" / "thesis.tex").write_text("")
     short = "--scene handover --total-timesteps 1 --steps-per-epoch 1 --hidden 8 --n-passes 1"
-    variables = f"BIN={Path(sys.executable).parent}", "TRAINING=", f"RUNS={tmp_path}", f"TRAIN={short}"
+    (tmp_path / "installed").touch()
+    variables = f"BIN={Path(sys.executable).parent}", f"TRAINING={tmp_path}/installed"
+    variables += f"RUNS={tmp_path}", f"TRAIN={short}"
     made = subprocess.run(["make", "train", *variables], cwd=ROOT, capture_output=True, text=True)
     assert made.returncode == 2
     assert "no_touch' exists but is not a run folder" in made.stderr

@@ -114,6 +114,7 @@ def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
     assert main([*theirs, "--task", "own", "--reward", "far"]) == 0
 
 
+@pytest.mark.usefixtures("few_reflexes")
 def test_the_cup_of_the_example_breaks_when_it_is_pressed(capsys):
     found = printed(capsys, ["gate", *CUP, "--starts", "4", "--search", "1", "--json"])
     rates = {row["name"]: row["rate"] for row in json.loads(found)["reflexes"]}

@@ -4,18 +4,15 @@ Control steps a second of `handover_anywhere` with three hands, and one CPU core
 at the first touch, in the batch and in MuJoCo from the same starts, with the hold test; taxels in
 states of the batch, read by both; physics settings against MuJoCo at 1 ms; worlds that diverged or had
 no room.
-A line of JSON for each measurement, written as it is made; what is in the file already is not measured
-again:
+What is in the file already is not measured again:
 
-    python -m benchmarks batch --out docs/data/batch.jsonl
+    python -m benchmarks batch --out docs/data/batch.json
 """
 
 from __future__ import annotations
 
-import gc
 import json
 import time
-import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -29,7 +26,15 @@ from tactilerl import envs
 from tactilerl.envs.batch import BatchEnv
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
-from benchmarks.command import DATA, count, on_one_thread, parser, processes
+from benchmarks.command import (
+    DATA,
+    count,
+    earlier,
+    measure_missing,
+    on_one_thread,
+    parser,
+    processes,
+)
 
 CHOSEN = {"mpl": "anywhere_8", "shadow": "shadow_anywhere_8", "allegro": "allegro_anywhere_8"}
 WORLDS = {"mpl": 16_384, "shadow": 8_192, "allegro": 8_192}
@@ -49,7 +54,7 @@ def layouts(hand: str) -> dict[str, str]:
     return {"1": "1", "5": "5", "chosen 8": str(DATA / "chosen" / f"{CHOSEN[hand]}.toml")}
 
 
-def cpu_speed(hand: str, seconds: float) -> dict[str, Any]:
+def cpu_speed(hand: str, seconds: float = 3.0) -> dict[str, Any]:
     """Measure one core's control steps a second; random actions, resets included."""
     env, rng, steps = GraspEnv(hand, config(hand)), np.random.default_rng(0), 0
     env.reset(seed=SEED)
@@ -62,7 +67,7 @@ def cpu_speed(hand: str, seconds: float) -> dict[str, Any]:
     return {"steps_per_second": steps / (time.perf_counter() - start)}
 
 
-def speed(hand: str, device: str, n: int, steps: int) -> dict[str, Any]:
+def speed(hand: str, device: str, n: int, steps: int = 40) -> dict[str, Any]:
     """Measure a batch's control steps a second; random actions, resets included."""
     start = time.perf_counter()
     env = BatchEnv(hand, [(config(hand), n)], device)
@@ -105,7 +110,7 @@ def alone(hand: str, layout: str, seeds: list[int]) -> list[tuple[bool, bool]]:
     return results
 
 
-def together(hand: str, device: str, n: int, compared: int) -> dict[str, Any]:
+def together(hand: str, device: str, n: int, compared: int = 100) -> dict[str, Any]:
     """Play the same in a batch of all layouts, and read taxels in some of its states in MuJoCo too."""
     configs = [config(hand, layout) for layout in layouts(hand).values()]
     env = BatchEnv(hand, [(scene, n) for scene in configs], device, AutoresetMode.DISABLED)
@@ -195,67 +200,38 @@ def physics(
     start = time.perf_counter()
     places = _ends(env, lambda: env._look()[1])
     seconds = (time.perf_counter() - start) / len(places)
-    kept, right_kept = (np.linalg.norm(p[-1], axis=1) < 0.12 for p in (places, right))
     row = {"worlds": len(seeds), "step_ms": 1e3 * seconds, **errors(places, right)}
-    row |= {"same_outcome": float((kept == right_kept).mean())}
     env.close()
     return row | {"diverged": env.n_diverged, "no_room": env.n_overflowed}
 
 
-def errors(places: Any, right: Any) -> dict[str, float]:
-    """Return how far objects are from where they should be, from touch on."""
-    far = 1e3 * np.linalg.norm(places - right, axis=2)[28:]
-    return {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))}
+def joined(futures: list[Future[Any]]) -> Any:
+    """Return what all of them played, (steps, n, 3)."""
+    return np.concatenate([future.result() for future in futures], 1)
 
 
-class Rows:
-    """Lines of JSON, each with its key; what is there is not made again."""
-
-    def __init__(self, path: Any, seconds: float) -> None:
-        """Read what is there; begin nothing after some seconds."""
-        self._path, self._ends = path, time.monotonic() + seconds
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        self._keys = {json.dumps(json.loads(line)["key"]) for line in lines}
-
-    def __call__(self, key: list[Any], measure: Callable[[], dict[str, Any]]) -> None:
-        """Measure and write a row, unless it is there or time is up."""
-        if json.dumps(key) in self._keys:
-            return
-        if time.monotonic() > self._ends:
-            print(*key, "left out: time is up", flush=True)
-            return
-        try:
-            row = {"key": key, **measure()}
-        except Exception:  # the others may work, and a GPU's time is short
-            print(*key, traceback.format_exc(), flush=True)
-            return
-        finally:
-            gc.collect()
-        with self._path.open("a", encoding="utf-8") as file:
-            print(json.dumps(row), file=file)
-        shown = {name: value for name, value in row.items() if not isinstance(value, dict | list)}
-        print(*key, json.dumps(shown), flush=True)
+def errors(places: Any, right: list[Future[Any]]) -> dict[str, float]:
+    """Return how far objects are from where they should be, from touch on, and how many end alike."""
+    exact = joined(right)
+    far = 1e3 * np.linalg.norm(places - exact, axis=2)[28:]
+    kept, right_kept = (np.linalg.norm(p[-1], axis=1) < 0.12 for p in (places, exact))
+    row = {"median_mm": float(np.median(far)), "p90_mm": float(np.quantile(far, 0.9))}
+    return row | {"same_outcome": float((kept == right_kept).mean())}
 
 
-def score(
-    hand: str, device: str, n: int, compared: int, plain: dict[str, list[Future[Any]]]
-) -> dict[str, Any]:
+def score(hand: str, device: str, n: int, plain: dict[str, list[Future[Any]]]) -> dict[str, Any]:
     """Return success and touch in the batch and in MuJoCo, and the paired difference with its error."""
-    row = together(hand, device, n, compared)
+    row = together(hand, device, n)
     for name, futures in plain.items():
         part = row["layouts"][name]
         results = np.array([pair for future in futures for pair in future.result()], float)
         mine = np.array([part.pop("held"), part.pop("felt")], float).T
         for what, ours, theirs in zip(("success", "felt"), mine.T, results.T, strict=True):
             gap = ours - theirs
-            part |= {
-                what: ours.mean(),
-                f"{what}_mujoco": theirs.mean(),
-                f"{what}_difference": gap.mean(),
-            }
+            part |= {what: ours.mean(), f"{what}_mujoco": theirs.mean()}
+            part[f"{what}_difference"] = gap.mean()
             part[f"{what}_ci95"] = 1.96 * gap.std() / len(gap) ** 0.5
         part["same_outcome"] = float((mine[:, 0] == results[:, 0]).mean())
-        row |= {f"{name}: {what}": round(value, 4) for what, value in part.items()}
     return row
 
 
@@ -265,46 +241,36 @@ def main() -> None:
     flags.add_argument("--device", default="cuda", help="PyTorch's for MuJoCo Warp, or loop: MuJoCo")
     flags.add_argument("--starts", type=count, default=2_000, help="of each hand and layout")
     flags.add_argument("--worlds", type=count, help="for speed, instead of 16,384 and 8,192")
-    flags.add_argument("--seconds", type=float, default=540.0, help="begin nothing after")
-    flags.add_argument("--hands", default="mpl,shadow,allegro")
+    flags.add_argument("--hands", nargs="*", choices=CHOSEN, default=[*CHOSEN])
     options = flags.parse_args()
-    if options.out is None:
-        flags.error("--out: found none, allowed a file")
-    rows, device, n = Rows(options.out, options.seconds), options.device, options.starts
-    hands, small = options.hands.split(","), n < 100
-    on_one_thread()
-    for hand in hands:
-        rows(["one CPU core", hand], partial(cpu_speed, hand, 0.5 if small else 3.0))
+    device, n, hands = options.device, options.starts, options.hands
     name = torch.cuda.get_device_name() if device == "cuda" else device
-    seeds = [SEED + i for i in range(n)]
-    cut = 2 if small else 125
-    few = seeds[: 2 if small else 256]
-    with processes(None) as pool:
-        plain = {
-            hand: {
-                layout: [pool.submit(alone, hand, path, seeds[i : i + cut]) for i in range(0, n, cut)]
-                for layout, path in layouts(hand).items()
-            }
-            for hand in hands
-            if json.dumps(["success", hand, name]) not in rows._keys
-        }
+    known, seeds = earlier(options.out), [SEED + i for i in range(n)]
+    on_one_thread()
+    with processes(None) as pool:  # which plays while kernels compile for minutes
+        measures: dict[str, Callable[[], Any]] = {}
+        for hand in hands:
+            measures[f"one CPU core, {hand}"] = partial(cpu_speed, hand)
+            worlds = options.worlds or WORLDS[hand]
+            measures[f"speed, {hand}, {name}"] = partial(speed, hand, device, worlds)
+        for hand in hands:
+            if (key := f"success, {hand}, {name}") not in known:
+                plain = {
+                    layout: [
+                        pool.submit(alone, hand, path, seeds[i : i + 125]) for i in range(0, n, 125)
+                    ]
+                    for layout, path in layouts(hand).items()
+                }
+                measures[key] = partial(score, hand, device, n, plain)
+        few = seeds[:256]
         parts = [few[i : i + 16] for i in range(0, len(few), 16)]
-        exact, coarse = (
+        exact, usual = (
             [pool.submit(reference, hands[0], timestep, part) for part in parts]
             for timestep in (0.001, 0.004)
         )
-        for hand in hands:  # kernels compile for minutes, while the pool plays
-            size = options.worlds or WORLDS[hand]
-            rows(["speed", hand, name], partial(speed, hand, device, size, 3 if small else 40))
-        for hand in plain:
-            rows(
-                ["success", hand, name],
-                partial(score, hand, device, n, 2 if small else 100, plain[hand]),
+        measures[f"settings, {hands[0]}, MuJoCo, 4, 100"] = lambda: errors(joined(usual), exact)
+        for ms, iterations in SETTINGS:
+            measures[f"settings, {hands[0]}, {name}, {ms}, {iterations}"] = partial(
+                physics, hands[0], device, ms / 1000, iterations, few, exact
             )
-        right, usual = (
-            np.concatenate([future.result() for future in futures], 1) for futures in (exact, coarse)
-        )
-        rows(["settings", hands[0], "MuJoCo", 4, 100], partial(errors, usual, right))
-        for ms, iterations in SETTINGS[: 1 if small else None]:
-            measure = partial(physics, hands[0], device, ms / 1000, iterations, few, right)
-            rows(["settings", hands[0], name, ms, iterations], measure)
+        print(json.dumps(measure_missing(options.out, measures), indent=1))

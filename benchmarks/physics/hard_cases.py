@@ -2,9 +2,8 @@ r"""Does the physics survive what it was not made for?
 
 Each case runs one scene for some steps and reports how often it diverged (which must be caught),
 how often MuJoCo warned, the deepest overlap of hand and object, the fastest object and the worst
-violation of a joint's range; and of the actions that are not finite, how many were refused and how
-many let through. Exits with 1 when a case leaves its limits. Prints tables, and writes JSON as it
-goes, into what is there already:
+violation of a joint's range. Exits with 1 when a case leaves its limits. Writes JSON as it goes, into
+what is there already:
 
     python -m benchmarks hard_cases --steps 100 --out docs/data/hard_cases.json
     python -m benchmarks hard_cases --hand mpl --simulator mujoco --case "random actions" \
@@ -43,19 +42,6 @@ def bang_bang(rng: np.random.Generator, n: int) -> np.ndarray:
     return rng.choice([-1.0, 1.0], n)
 
 
-def huge(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Return actions far beyond the range."""
-    return 1e30 * bang_bang(rng, n)
-
-
-def not_finite(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Return uniform actions, every second time with one entry that is not finite."""
-    action = noise(rng, n)
-    if rng.random() < 0.5:
-        action[rng.integers(n)] = rng.choice([np.nan, np.inf, -np.inf])
-    return action
-
-
 def squeeze(rng: np.random.Generator, n: int) -> np.ndarray:
     """Close all digits as hard as possible, where the hand is."""
     return np.array(3 * [0.0] + (n - 3) * [1.0])
@@ -80,8 +66,6 @@ class Limits:
     """Of all steps: those in which the physics broke, and said so."""
     warnings: int = 0
     """Of MuJoCo."""
-    let_through: int = 0
-    """Actions that are not finite, and were not refused or moved something."""
 
 
 @dataclass(frozen=True)
@@ -120,20 +104,17 @@ CASES = {
     "cube of 8 cm, pressed down": Case(press, {"object_size": 0.08}),
     "timestep x 4": Case(noise, {"timestep": 4}),
     "start in deep overlap": Case(squeeze, {}, start=0.0),
-    "actions of 1e30": Case(huge, {}, JERKED),
-    "actions that are not finite": Case(not_finite, {}),
     "squeezed without a reset": Case(squeeze, {}, episode=sys.maxsize),
 }
 FACTORS = ("object_density", "friction", "timestep")
-COUNTS = ("diverged", "warnings", "refused", "let_through")
+COUNTS = ("diverged", "warnings")
 
 
 def run(hand: str, simulator: str, case: Case, steps: int) -> dict[str, Any]:
     """Return the worst that a case did in so many steps."""
-    config = scene(hand, simulator, case)
     rng = np.random.default_rng(SEED)
-    worst: dict[str, float] = dict.fromkeys(("refused", *vars(case.limits)), 0)
-    with closing(GraspEnv(hand, config)) as env:
+    worst: dict[str, float] = dict.fromkeys(vars(case.limits), 0)
+    with closing(GraspEnv(hand, scene(hand, simulator, case))) as env:
         done = True
         for _ in range(steps):
             if done:
@@ -141,11 +122,9 @@ def run(hand: str, simulator: str, case: Case, steps: int) -> dict[str, Any]:
             done, seen = look(env, case.policy(rng, env.action_space.shape[0]))
             for key, value in seen.items():
                 worst[key] = worst[key] + value if key in COUNTS else max(worst[key], value)
-    limits = vars(case.limits)
-    allowed = limits | {"diverged": case.limits.diverged * steps}
+    allowed = vars(case.limits) | {"diverged": case.limits.diverged * steps}
     is_ok = all(worst[key] <= limit for key, limit in allowed.items())
-    n_physics = steps * config.n_substeps
-    return {"steps": steps, "physics_steps": n_physics, **worst, "limits": limits, "ok": is_ok}
+    return {"steps": steps, **worst, "ok": is_ok}
 
 
 def scene(hand: str, simulator: str, case: Case) -> GraspConfig:
@@ -161,33 +140,20 @@ def scene(hand: str, simulator: str, case: Case) -> GraspConfig:
 
 def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
     """Take one step; return whether the episode is over, and what was seen."""
-    before = state(env)
-    try:
-        *_, done, info = env.step(action)
-    except ValueError:
-        if np.isfinite(action).all():
-            raise
-        return False, {"refused": 1, "let_through": float((state(env) != before).any())}
-    faults = {key: float(info.get(key, 0)) for key in ("diverged", "warnings")}
-    faults["let_through"] = float(not np.isfinite(action).all())
+    before = env.simulator.state().object_position.copy()
+    *_, done, info = env.step(action)
+    faults = {key: float(info.get(key, 0)) for key in COUNTS}
     if info.get("diverged"):
         return done, faults
-    moved = np.linalg.norm(env.simulator.state().object_position - before[:3])
-    angles = env.simulator.state().joint_positions[3:]
+    after = env.simulator.state()
+    angles = after.joint_positions[3:]
     low, high = np.array([env.simulator.model.joint(j).range for j in env.hand.joints[3:]]).T
     return done, {
         **faults,
         "overlap": deepest(env),
-        "speed": float(moved) / env.config.control_dt,
+        "speed": float(np.linalg.norm(after.object_position - before)) / env.config.control_dt,
         "joint": float(np.maximum(low - angles, angles - high).max()),
     }
-
-
-def state(env: GraspEnv) -> np.ndarray:
-    """Return pose of the object, positions and velocities of the joints, (n,)."""
-    now = env.simulator.state()
-    pose = now.object_position, now.object_orientation
-    return np.concatenate([*pose, now.joint_positions, now.joint_velocities])
 
 
 def begin(env: GraspEnv, seed: int, start: float | None) -> None:
@@ -223,11 +189,9 @@ def main() -> int:
 
 def show(results: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Print overlap, speed and joint in a column for each pair."""
-    rows = [
-        (name, *(_short(cases[name]) for cases in results.values() if name in cases)) for name in CASES
-    ]
+
+    def short(row: dict[str, Any]) -> str:
+        return f"{1e3 * row['overlap']:.1f} / {row['speed']:.1f} / {row['joint']:.2f}"
+
+    rows = ((name, *(short(of[name]) for of in results.values() if name in of)) for name in CASES)
     markdown(f"| case | {' | '.join(results)} |", rows)
-
-
-def _short(row: dict[str, Any]) -> str:
-    return f"{1e3 * row['overlap']:.1f} / {row['speed']:.1f} / {row['joint']:.2f}"

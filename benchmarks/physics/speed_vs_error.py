@@ -20,7 +20,6 @@ from unittest.mock import patch
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.style import NAMES
@@ -32,7 +31,6 @@ SECONDS = 5.0
 SEED = 35_000  # starts of this benchmark; the check of taxels and the search used others
 SIZES = {"shadow": (0.04, 0.05), "mpl": (0.045, 0.05)}  # of cubes, m
 SHIPPED = "as shipped"
-CLEARLY = 1.25
 
 
 @dataclass(frozen=True)
@@ -108,14 +106,10 @@ class Trace(NamedTuple):
 
     positions: np.ndarray
     """(grasps, steps, 3) of the object, m."""
-    rotations: np.ndarray
-    """(grasps, steps, 3, 3) of the object."""
     bits: np.ndarray
     """(grasps, steps, taxels)"""
     held: np.ndarray
     """bool (grasps,)"""
-    sizes: np.ndarray
-    """(grasps,) of the cubes, m."""
     overlaps: np.ndarray
     """(grasps,) of the deepest contact of the hand with the object, m."""
     seconds: np.ndarray
@@ -171,19 +165,19 @@ def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Trace:
                 before = env.simulator.warnings
                 *seen, held, overlaps, seconds = zip(*_watched(env, hold), strict=True)
                 of_physics = max(overlaps), sum(seconds), env.simulator.warnings - before
-                rows.append((*map(np.array, seen), held[-1], size, *of_physics))
+                rows.append((*map(np.array, seen), held[-1], *of_physics))
     return Trace(*map(np.array, zip(*rows, strict=True)))
 
 
 def _watched(env: GraspEnv, hold: Iterator[bool]) -> Iterator[tuple[Any, ...]]:
-    """Yield position, rotation, taxels, whether the object is up, overlap and seconds of each step."""
+    """Yield position, taxels, whether the object is up, overlap and seconds of each step."""
     started = time.process_time()
     for is_up in hold:
         seconds = time.process_time() - started  # looking does not count
         state = env.simulator.state()
         (palm,), (frame,) = state.poses((env.hand.palm,))
-        pose = frame.T @ (state.object_position - palm), frame.T @ state.object_rotation
-        yield *pose, env.taxel_readings(), is_up, deepest(env), seconds
+        place = frame.T @ (state.object_position - palm)
+        yield place, env.taxel_readings(), is_up, deepest(env), seconds
         started = time.process_time()
 
 
@@ -198,36 +192,16 @@ def compare(trace: Trace, reference: Trace, shipped: Trace) -> dict[str, Any]:
     both = trace.held & reference.held
     if not both.any():
         return row
-    (at, turned, bits), sizes = (part[both] for part in trace[:3]), trace.sizes[both]
-    right_at, right_turned, right_bits = (part[both] for part in reference[:3])
+    (at, bits), (right_at, right_bits) = (
+        [part[both] for part in one[:2]] for one in (trace, reference)
+    )
     errors = 1e3 * np.linalg.norm(at - right_at, axis=-1).max(axis=1)  # mm, the largest of each grasp
-    apart = np.swapaxes(turned, -1, -2) @ right_turned
-    angles = [Rotation.from_matrix(grasp).magnitude().max() for grasp in apart]
     return row | {
         "error_median_mm": float(np.median(errors)),
         "error_worst_mm": float(errors.max()),
-        "angle_median_rad": float(np.median(angles)),
         "slip_5s_mm": 1e3 * float(np.median(np.linalg.norm(at[:, -1] - at[:, 0], axis=-1))),
         "bits_wrong": float((bits != right_bits).sum(axis=-1).mean()),
-        "error_median_mm_of_cube": {
-            f"{1e3 * size:g} mm": float(np.median(errors[sizes == size])) for size in np.unique(sizes)
-        },
     }
-
-
-def mark_front(rows: dict[str, dict[str, Any]]) -> None:
-    """Mark settings that no other beats: clearly faster, less error, no more outcomes changed.
-
-    Less than CLEARLY is within the noise of the machine, and where the error is the same to the
-    last digit, so is the work.
-    """
-    for row in rows.values():
-        row["on_front"] = "error_median_mm" in row and not any(
-            other["speed"] > CLEARLY * row["speed"]
-            and other.get("error_median_mm", np.inf) < row.get("error_median_mm", np.inf)
-            and other["outcomes_changed"] <= row["outcomes_changed"]
-            for other in rows.values()
-        )
 
 
 def measure(hand: str, simulator: str, grasps: int) -> dict[str, dict[str, Any]]:
@@ -237,16 +211,13 @@ def measure(hand: str, simulator: str, grasps: int) -> dict[str, dict[str, Any]]
     traces = {name: record(hand, simulator, s, grasps) for name, s in settings.items()}
     shipped = traces[SHIPPED]
     rows = {name: compare(trace, fine, shipped) for name, trace in traces.items()}
-    mark_front(rows)
     return {"reference, twice the step": compare(coarse, fine, shipped), **rows}
 
 
 FORMATS = {
     "speed": ".2f",
     "error_median_mm": ".2f",
-    "error_median_mm_of_cube": "",
     "error_worst_mm": ".2f",
-    "angle_median_rad": ".3f",
     "slip_5s_mm": ".2f",
     "overlap_mm": "z.1f",
     "bits_wrong": ".1f",
@@ -255,21 +226,14 @@ FORMATS = {
 """The formats of the columns of `show`."""
 
 
-def show(hand: str, rows: dict[str, dict[str, Any]]) -> None:
-    """Print one table; settings on the front have a star."""
-    sizes = [f"{1e3 * size:g}" for size in SIZES[hand]]
-    head = (
-        f"| setting | speed | error, median mm | {' / '.join(sizes)} mm cube | worst mm | rad "
-        "| slip, mm | overlap, mm | taxels wrong | outcomes changed |"
-    )
+def show(rows: dict[str, dict[str, Any]]) -> None:
+    """Print one table."""
+    head = "setting | speed | error, median mm | worst mm | slip, mm | overlap, mm | taxels wrong"
     cells = []
     for name, row in rows.items():
-        of_cube = row.get("error_median_mm_of_cube", {})
-        row = row | {"error_median_mm_of_cube": " / ".join(_number(of_cube, f"{s} mm") for s in sizes)}
-        words = name + " \\*" * row.get("on_front", False)
-        words = f"**{words}**" if name == SHIPPED else words
+        words = f"**{name}**" if name == SHIPPED else name
         cells.append((words, *(_number(row, key, form) for key, form in FORMATS.items())))
-    markdown(head, cells)
+    markdown(f"| {head} | outcomes changed |", cells)
 
 
 def _number(row: dict[str, Any], key: str, form: str = ".2f") -> str:
@@ -308,5 +272,5 @@ def main() -> None:
             title = f"{hand} in {simulator}"
             result[title] = {"grasps of each cube": options.grasps, "settings": rows}
             print(title)
-            show(hand, rows)
+            show(rows)
             write(options.out, result)

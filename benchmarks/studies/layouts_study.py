@@ -21,9 +21,8 @@ from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
 from benchmarks.command import data, markdown
-from benchmarks.studies.learner_tables import DEAD, HANDS, part
 from benchmarks.studies.setups_study import concordance, drawn
-from benchmarks.studies.study_tables import estimate, load, title
+from benchmarks.studies.study_tables import DEAD, HANDS, estimate, load, part, title
 
 STUDY = "layouts"
 PAPERS = tuple(f"layout {i}" for i in range(1, 7))

@@ -22,8 +22,7 @@ from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
 from benchmarks.command import data, markdown
-from benchmarks.studies.learner_tables import DEAD, part
-from benchmarks.studies.study_tables import estimate, in_common, load, number, title
+from benchmarks.studies.study_tables import DEAD, estimate, in_common, load, number, part, title
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
 PAPERS, CHOSEN, NONE = LAYOUTS[:-1], LAYOUTS[-1], "no touch"

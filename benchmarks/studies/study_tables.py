@@ -27,7 +27,7 @@ from tactilerl.study.records import Record
 from benchmarks.command import DATA, data, interval, markdown
 
 EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
-DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?(?:anywhere|touch)_(.+)\.toml")
+CHOSEN = re.compile(r"docs/data/chosen/\w+_(\d+)\.toml")
 COLOURS = dict(zip(("on", "off"), style.GROUPS, strict=False))
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
@@ -46,9 +46,8 @@ PAPER = {
 }
 """Means of the paper's Tables 1 and 2 by layout: converged rate with touch, and without."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
-DESIGN_STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
-Place = tuple[str, str, str, str]
-"""Study, set-up, setting and group of some runs."""
+HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro"}
+DEAD = 0.05  # a run whose second half is below learned nothing
 
 
 @cache
@@ -73,6 +72,18 @@ def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     return [{seed: statistics.end_rate(y, 0.1) for seed, y in of.items()} for of in rates]
 
 
+def part(record: Record, begin: float, column: str = "success_rate", end: float = 1.0) -> float:
+    """Return the mean of a column between two fractions of a run's steps, by steps.
+
+    A row is of the steps up to its own.
+    """
+    steps, values = record.column("env_steps"), record.column(column)
+    before = np.r_[0.0, steps[:-1]]
+    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
+    weights = np.clip(until - since, 0.0, None)
+    return float(np.average(values, weights=weights))
+
+
 def label(setting: str) -> str:
     """Return the name of a setting in tables: `2`, `5 of 0.3`."""
     match = EARLIER.fullmatch(setting)
@@ -80,14 +91,9 @@ def label(setting: str) -> str:
 
 
 def title(layout: str) -> str:
-    """Return the name of a layout in tables: `4 chosen`, `4 random, set 2`."""
-    match = DESIGNED.fullmatch(layout)
-    if match is None:
-        return f"layout {layout}"
-    kind, *rest = match[1].split("_")
-    if kind == "random":
-        return f"{rest[0]} random, set {rest[1]}"
-    return "the dense skin" if kind == "skin" else f"{kind} chosen"
+    """Return the name of a layout in tables: `layout 1`, `4 chosen`."""
+    match = CHOSEN.fullmatch(layout)
+    return f"{match[1]} chosen" if match else f"layout {layout}"
 
 
 # -- the handover studies ----------------------------------------------------------------
@@ -99,19 +105,13 @@ def group_means(name: str = "handover") -> None:
     main, sighted = study.setups
     groups = {style.ROLES[group]: (main, main.settings[0], group) for group in main.groups}
     groups["no touch, but sight"] = sighted, sighted.settings[0], ""
-    reached(
-        {group: study_pairs.runs_of(runs, *place) for group, place in groups.items()}, "hand | runs"
-    )
-
-
-def reached(groups: dict[str, list[Record]], head: str) -> None:
-    """Print how many runs each group has, and their success."""
-    areas, finals = (scored(score, *groups.values()) for score in ("area", "final"))
+    by_group = [study_pairs.runs_of(runs, *place) for place in groups.values()]
+    areas, finals = (scored(score, *by_group) for score in ("area", "final"))
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
         for group, area, final in zip(groups, areas, finals, strict=True)
     ]
-    markdown(f"| {head} | mean success over the run | over its last tenth |", rows)
+    markdown("| hand | runs | mean success over the run | over its last tenth |", rows)
 
 
 def worth(name: str = "handover") -> None:
@@ -255,82 +255,6 @@ def in_common(by_group: Sequence[BySeed]) -> tuple[list[int], Array]:
     return seeds, np.array([[scores[seed] for seed in seeds] for scores in by_group])
 
 
-# -- how fast runs learn -----------------------------------------------------------------
-
-
-def learned(places: dict[str, Place]) -> None:
-    """Print how far some groups of runs learned, over the seeds that all of them have."""
-    selected = {}
-    for title, (name, setup_name, setting, group) in places.items():
-        setup, runs = load_setup(name, setup_name)
-        selected[title] = study_pairs.runs_of(runs, setup, setting, group)
-    seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected.values()))
-    common = {title: [run for run in runs if run.run.seed in seeds] for title, runs in selected.items()}
-    reached(common, "runs | seeds")
-
-
-# -- designed layouts --------------------------------------------------------------------
-
-
-def designed(learner: str) -> None:
-    """Print what was learned with each designed layout, and in pairs with layout 1."""
-    study, runs = load(DESIGN_STUDIES[learner])
-    setups = {one.name: one for one in study.setups}
-    touch = setups[learner]
-    by_layout = {
-        title(layout): study_pairs.runs_of(runs, touch, "all", layout)
-        for layout in map(str, touch.grid["layout"])
-    }
-    by_layout["no touch"] = [
-        run for run in runs if run.run.setup == f"{learner}_blind" and run.is_finished
-    ]
-    by_layout = {name: group for name, group in by_layout.items() if group}
-    finals, areas = (
-        dict(zip(by_layout, scored(score, *by_layout.values()), strict=True))
-        for score in ("final", "area")
-    )
-    others = [name for name in finals if name != "layout 1"]
-    pairs = {name: study_pairs.in_pairs([finals[name], finals["layout 1"]]) for name in others}
-    p_values = dict(zip(others, holm(pairs.values()), strict=True))
-    scripted = data("design")["layouts"]
-    rows = []
-    for name, final in finals.items():
-        best = f"{scripted[name]['best']['success']:.2f}" if name in scripted else ""
-        row = [name, best, len(final), mean(areas[name].values()), mean(final.values())]
-        if name in pairs:
-            row += [estimate(pairs[name].difference, "+.2f"), f"{p_values[name]:.3f}"]
-        rows.append(row if name in pairs else [*row, "", ""])
-    markdown(
-        "| layout | scripted hand | runs | success over the run | over its last tenth "
-        "| − layout 1 | p, Holm |",
-        rows,
-    )
-
-
-def design_goals() -> None:
-    """Print how well a few chosen taxels do in unseen starts of each handover."""
-    rows = []
-    for row in data("design")["goals"]["rows"]:
-        felt, gate = interval(row["felt"], *row["felt_interval"]), row["gate"]
-        ahead = estimate(row["difference"]["felt"], "+.2f"), estimate(gate["difference"], "+.2f")
-        rate = interval(gate["rate"], *gate["interval"])
-        rows.append((row["scene"], row["taxels"], felt, ahead[0], rate, ahead[1]))
-    head = "| scene | taxels | felt | − layout 1 | scripted hand with touch | − layout 1 |"
-    markdown(head, rows)
-
-
-def design_hands() -> None:
-    """Print a scripted hand's success with each layout, by how far closed it waits."""
-    rows = []
-    for hand, by_layout in data("design")["hands"].items():
-        for name, row in by_layout.items():
-            waits = [f"{rate:.2f}" for rate in row["waits"].values()]
-            best = interval(row["best"]["success"], *row["best"]["interval"])
-            rows.append((style.NAMES[hand], name, row["taxels"], *waits, best))
-    head = " | ".join(f"{0.1 * wait:.1f}" for wait in range(1, 6))
-    markdown(f"| hand | layout | taxels | {head} | at its best |", rows)
-
-
 # -- helpers -----------------------------------------------------------------------------
 
 
@@ -421,10 +345,6 @@ def tables(*rows: tuple[Any, ...]) -> dict[str, partial[None]]:
     return {name: partial(show, *arguments) for name, show, *arguments in rows}
 
 
-UPDATES: dict[str, Place] = {
-    "40 updates per cycle": ("learners", "updates", "layout 2", ""),
-    "16 updates per cycle": ("paper", "mujoco", "layout 2", "on"),
-}
 TABLES = tables(
     ("study groups", group_means),
     ("study worth", worth),
@@ -438,10 +358,4 @@ TABLES = tables(
     ("paper table 2", converged, "mujoco"),
     ("paper ddpg_her", layouts, "paper", "mujoco"),
     ("paper ppo", layouts, "paper", "pybullet"),
-    ("learned ppo", learned, {"PPO, 50,000 steps": ("learners", "ppo", "layout 4", "")}),
-    ("learned updates", learned, UPDATES),
-    ("design goals", design_goals),
-    ("design hands", design_hands),
-    ("design ppo", designed, "ppo"),
-    ("design ddpg_her", designed, "ddpg_her"),
 )

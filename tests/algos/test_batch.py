@@ -135,7 +135,7 @@ def rows_of(one):
         ),
     ],
 )
-@pytest.mark.parametrize("worlds", [2, 9])
+@pytest.mark.parametrize("worlds", [2, pytest.param(9, marks=pytest.mark.slow)])
 def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worlds):
     """Three runs of other seeds, rates and numbers of inputs, five epochs, whoever plays how many."""
     seen, configs = (0, 2, 1), [replace(config, actor_lr=rate) for rate in rates]
@@ -197,7 +197,13 @@ class Breaks(PointBatch):
 
 
 @pytest.mark.parametrize(("algo", "config"), [("ppo", PPO_CONFIG), ("ddpg_her", HER_CONFIG)])
-@pytest.mark.parametrize("what", ["reset", "observation", "reward", "parameter"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        *("observation", "parameter"),
+        *(pytest.param(what, marks=pytest.mark.slow) for what in ("reset", "reward")),
+    ],
+)
 def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
     rows = []
     for broken in ("", what):

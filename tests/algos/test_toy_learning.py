@@ -14,7 +14,9 @@ from tactilerl.algos.rollout import EVALUATE, PlayEpisode
 from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv
 
-SEEDS = (0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)))
+
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def train(algorithm, name, config, steps, seed):
@@ -32,25 +34,31 @@ def play(learner, episodes=20):
     return list(learner.workers.play(task, range(episodes)))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
+@pytest.mark.parametrize(
+    ("seed", "steps", "n_passes", "most"),
+    [(0, 10_000, 10, 1.5), *(slow(seed, 20_000, 20, 1.05) for seed in range(3))],
+)
+def test_ppo_comes_near_the_riccati_optimum(seed, steps, n_passes, most):
+    """Within 5 % where it takes its time; before it has learned, it costs nine times as much."""
     config = PPOConfig(
-        hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
+        hidden=(64, 64), actor_lr=1e-3, n_passes=n_passes, n_minibatches=12, gae_lambda=0.9,
         action_variance=0.02, orthogonal_init=True, anneal_lr=True,
     )  # fmt: skip
-    episodes = play(train(PPO, "lqr", config, 20_000, seed))
+    episodes = play(train(PPO, "lqr", config, steps, seed))
     returns = np.array([sum(episode.rewards) for episode in episodes])
     optimal = np.array([LQREnv.optimal_return(e.obs[0].astype(np.float64)) for e in episodes])
     assert (returns <= optimal + 1e-6).all()  # nothing beats the optimum
-    assert returns.mean() / optimal.mean() < 1.05
+    assert returns.mean() / optimal.mean() < most
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_ddpg_her_reaches_points_from_sparse_rewards(seed):
-    """Of 200 goals at least 95 %."""
+@pytest.mark.parametrize(
+    ("seed", "steps", "least"), [(0, 4_000, 0.8), *(slow(seed, 7_000, 0.95) for seed in range(3))]
+)
+def test_ddpg_her_reaches_points_from_sparse_rewards(seed, steps, least):
+    """Most of 200 goals, and 95 % where it takes its time."""
     config = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
-    reached = [e.success for e in play(train(DDPGHER, "point-reach", config, 7000, seed), 200)]
-    assert np.mean(reached) >= 0.95
+    reached = [e.success for e in play(train(DDPGHER, "point-reach", config, steps, seed), 200)]
+    assert np.mean(reached) >= least
 
 
 def test_robust_is_what_the_docs_say():

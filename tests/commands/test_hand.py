@@ -262,8 +262,8 @@ def test_a_urdf_whose_palm_hangs_on_a_frame():
 
 
 def test_from_model_to_training(monkeypatch, capsys):
-    monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
-    monkeypatch.setattr(grasp_search, "STARTS", 2)
+    for name, fewer in {"ROUNDS": (12, 6), "STARTS": 2, "OTHERS": 2, "GROUNDS": (0.004,)}.items():
+        monkeypatch.setattr(grasp_search, name, fewer)
     Path("hand.xml").write_text(MODEL)
     said = printed(capsys, ["hand", "hand.xml", "--out", "new/mine.toml"])
     assert "thumb = { links = [" in said

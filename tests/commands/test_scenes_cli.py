@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from tactilerl.commands.cli import main
+from tactilerl.runs import still
 
 from one_line import fails_with, printed
 
@@ -22,7 +23,7 @@ HARD += ["--object-density", "400..800", "--start-offset", "0.02", "--start-yaw"
 
 
 @pytest.mark.parametrize(
-    ("learner", "env", "simulator"), [(PPO, "shadow", "mujoco"), (HER, "mpl", "pybullet")]
+    ("learner", "env", "simulator"), [(PPO, "allegro", "mujoco"), (HER, "mpl", "pybullet")]
 )
 def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, capsys):
     scene = ["--env", env, "--simulator", simulator, *COMMON, *HARD]
@@ -78,9 +79,11 @@ class TestEvaluateWithOtherSensors:
         assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0
 
 
-def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path):
+def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path, monkeypatch):
     """Before training, and by `env`."""
-    low = ["--env", "mpl", "--layout", "5", "--task", "reach-goal", "--goal-range", "0.01"]
+    monkeypatch.setattr(still, "N_STILL", 4)
+    low = ["--env", "mpl", "--simulator", "mujoco", "--layout", "5"]
+    low += ["--task", "reach-goal", "--goal-range", "0.01"]
     words = "a hand that stands still reaches the goal in 4 of 4 episodes"
     for height, tolerance, is_said in ((0.02, 0.03, True), (0.08, 0.03, False)):
         goal = [*low, "--goal-height", height, "--goal-tolerance", tolerance]

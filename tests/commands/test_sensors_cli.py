@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.envs import sensors
+from tactilerl.envs import sensors, vector
 from tactilerl.runs.config import configure
 
 from one_line import fails_with, printed
@@ -47,6 +47,7 @@ def test_the_control_of_a_study_has_the_sensor_and_no_numbers():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_reflexes")
 def test_env_and_gate_take_a_sensor(capsys):
     assert "fsr                  Force-sensing resistor, 8 mm" in printed(capsys, ["env"])
     printed(capsys, ["env", "--env", "mpl", "--sensor", "fsr", "--touch-rule", "force"])
@@ -58,16 +59,21 @@ def test_env_and_gate_take_a_sensor(capsys):
     fails_with(capsys, ["env", "--sensor", "no.toml"], "sensor file 'no.toml' does not exist")
 
 
-def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys):
+def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys, monkeypatch):
+    """Before anything is played, where somebody interrupts."""
+
+    def interrupt(*args):
+        raise KeyboardInterrupt
+
     scene = ["--scene", "handover", "--sensor"]
-    few = ["--starts", "1", "--search", "1", "--workers", "1"]
-    design = ["design", *scene, "eflesh", "switch", "--taxels", "1", "--starts", "1"]
     unknown = "note: eflesh names no threshold: its taxels fire at any contact"
     firm = "note: threshold 0.98 N is above --giver-force 0.32 N: touch comes too late"
-    assert main(["gate", *scene, "switch", *few]) == 0
-    assert capsys.readouterr().err.startswith(firm)
-    assert main([*design, "--test-starts", "2", "--workers", "1"]) == 0
-    assert capsys.readouterr().err.startswith(f"{unknown}\n{firm}\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(vector, "start", interrupt)
+        assert main(["gate", *scene, "switch"]) == 130
+        assert capsys.readouterr().err.startswith(firm)
+        assert main(["design", *scene, "eflesh", "switch", "--taxels", "1"]) == 130
+        assert capsys.readouterr().err.startswith(f"{unknown}\n{firm}\n")
     assert unknown in printed(capsys, ["env", *scene, "eflesh"])
     for known in (["--taxel-threshold", "0.1"], ["--touch-rule", "force"], ["--touch", "off"]):
         assert "eflesh names" not in printed(capsys, ["env", *scene, "eflesh", *known])

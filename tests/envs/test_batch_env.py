@@ -105,7 +105,9 @@ def assert_alike(
     return returns
 
 
-@pytest.mark.parametrize("hand", ["mpl", "shadow", "allegro"])
+@pytest.mark.parametrize(
+    "hand", ["mpl", *(pytest.param(hand, marks=pytest.mark.slow) for hand in ("shadow", "allegro"))]
+)
 def test_handover_with_noise_in_groups_of_layouts_touch_and_faults(hand: str) -> None:
     first = config(hand, layout="1", **NOISY)
     groups = [

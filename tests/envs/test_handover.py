@@ -79,6 +79,9 @@ class TestGiver:
 
 
 class TestEpisode:
+    @pytest.mark.parametrize(
+        ("hand", "simulator"), [("mpl", "mujoco"), ("shadow", "pybullet"), ("allegro", "mujoco")]
+    )
     def test_waits_arrives_and_falls(self, hand, simulator):
         env = make(hand, simulator)
         found = heights(env)

@@ -169,8 +169,9 @@ def test_a_process_is_set_up_before_it_plays():
         assert set(workers.play(what_was_set_up, range(4))) == {"yes"}
 
 
+@pytest.mark.slow
 @pytest.mark.pybullet
-@pytest.mark.parametrize("end", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGINT])
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_processes_end_quietly_with_their_parent(end, tmp_path):
     """In the middle of an episode; Ctrl-C goes to the whole group, as a terminal sends it."""
     script = tmp_path / "script.py"

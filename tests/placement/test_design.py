@@ -34,7 +34,7 @@ from tactilerl.scripted.reflexes import Reflex
 
 from one_line import fails_with
 
-FEW = ["--starts", "4", "--test-starts", "4", "--workers", "1", "--seed", "7", "--beside", "2"]
+FEW = ["--starts", "3", "--test-starts", "3", "--workers", "1", "--seed", "7", "--beside", "2"]
 FEW += ["--skin", "8mm"]
 
 
@@ -337,6 +337,7 @@ def test_starts_are_resampled_within_their_scenes():
     assert judge.difference([0], [1]) == pytest.approx((0.5, 0.5, 0.5))
 
 
+@pytest.mark.slow
 def test_success_after_the_worst_loss_has_no_bias_and_its_interval_holds():
     """Losses that cost alike: each start is felt by one of six taxels at most, so a loss costs 1/6."""
     rng, n, losses = np.random.default_rng(0), 100, np.eye(6, dtype=bool)
@@ -384,7 +385,7 @@ def test_layouts_are_compared_with_the_best_in_the_starts_to_choose_from():
     ]
 
 
-@pytest.mark.usefixtures("in_tmp")
+@pytest.mark.usefixtures("in_tmp", "few_reflexes")
 class TestCommand:
     def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys, monkeypatch):
         examined, examine = [], gate.examine
@@ -413,10 +414,7 @@ class TestCommand:
         assert result["verdict"] in " ".join(said.split())
         assert max(map(len, said.partition("Touch")[0].splitlines())) <= 80
         assert "worst loss" not in said
-        assert main(["design", "--scene", "handover", "--taxels", "2", *FEW, "--json"]) == 0
-        alone = json.loads(capsys.readouterr().out)["rows"]
-        assert rows["random", 2] == next(row for row in alone if row["layout"] == "random")
-        assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "4",
+        assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "1",
                      "--search", "1", "--workers", "1", "--seed", "7"]) == 0  # fmt: skip
         without = [
             {one.name: one.reflex for one in found if one.name in gate.BLIND} for found in examined
@@ -424,7 +422,7 @@ class TestCommand:
         assert without[0] == without[-1]  # design and gate mean the same hands
 
     def test_from_python(self):
-        few = dict(starts=4, test_starts=4, skin="8mm", beside=(), workers=1)
+        few = dict(starts=1, test_starts=2, skin="20mm", beside=(), workers=1)
         layout = tactilerl.design(scene="handover", taxels=2, **few)
         assert len(tactilerl.make(scene="handover", layout=layout).unwrapped.taxels) == 2
 

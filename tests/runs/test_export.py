@@ -54,7 +54,13 @@ def made(tmp_path_factory):
     return made
 
 
-@pytest.mark.parametrize("name", [*RUNS, "shipped"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("lift", "slides and fingers", "goals", "shipped"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("fingers", "scaled")),
+    ],
+)
 def test_the_graph_does_what_the_policy_does(name, made, tmp_path):
     run = HANDOVER if name == "shipped" else made(name)
     session, about = opened(run, tmp_path / "policy.onnx")

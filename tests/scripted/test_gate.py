@@ -84,6 +84,7 @@ class TestReflexes:
         assert came < went + 3 <= came + env.task.stays + 2
         assert all(is_closed[went:])
 
+    @pytest.mark.slow
     def test_a_longer_squeeze_tells_more(self):
         env = envs.make(scene="handover", touch="absent")
         starts = range(10_000, 10_020)
@@ -102,6 +103,7 @@ class TestReflexes:
         assert env.task.sets_off < went < env.task.sets_off + env.task.stays
 
 
+@pytest.mark.usefixtures("few_reflexes")
 def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_presses_with(capsys):
     several = ["--taxel-threshold", "0", "0.4"]
     assert main(["gate", "--scene", "handover", *several, *FEW, "--json"]) == 0

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from one_line import python
 
 GRIPPER = Path(__file__).parents[1] / "hands" / "gripper.xml"
@@ -26,6 +28,13 @@ print("torch" not in sys.modules)
 """
 
 
+def test_their_modules():
+    code = "import sys; from tactilerl.commands import design, env, gate, hand"
+    done = python("-c", f"{code}; assert 'torch' not in sys.modules")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
 def test_design_gate_env_and_hand(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = python("-c", COMMANDS)

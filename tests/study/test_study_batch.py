@@ -70,7 +70,6 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
         (made,) = one.config["provenance"]
         assert made["batch"]["runs"] == (4 if one.run.setup == "ppo" else 2)
     assert main(["study", "status", str(out)]) == 0
-    assert main(["study", "report", str(out), "--resamples", "200"]) == 0
     files = StudyFiles(out)
     for one in all_records[::3]:
         run_dir = str(files.run_dir(one.run).path)

@@ -26,6 +26,19 @@ LONG = LONG.replace("[compare]\npolyak = [0.95, 0.9]\n", "")
 PATIENCE = 900  # s
 
 
+def test_a_study_on_dask_learns_what_it_learns_here(tmp_path, trained_here):
+    import distributed
+
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        out, on = tmp_path / "out", f"dask:{cluster.scheduler_address}"
+        assert main(["study", "run", str(write(tmp_path)), "--out", str(out), "--on", on]) == 0
+    (tmp_path / "local").mkdir()
+    assert learned(out) == learned(trained(tmp_path / "local"))
+
+
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
     import distributed
 
@@ -64,6 +77,7 @@ def test_no_scheduler_there(tmp_path, capsys):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies(tmp_path, capfd):
     import dask
     import distributed  # noqa: F401

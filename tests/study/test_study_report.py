@@ -109,11 +109,6 @@ class TestNumbers:
 
 
 class TestFiles:
-    def test_same_records_same_bytes(self, folder, written, tmp_path):
-        again = analysis.analyse(*records.load(folder.path), RESAMPLES)
-        report.write(again, tmp_path / "again")
-        assert contents(tmp_path / "again") == contents(written.parent)
-
     def test_the_collected_file_is_as_good_as_the_folders(self, folder, written, tmp_path, capsys):
         path = tmp_path / "one.tar.gz"
         assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
