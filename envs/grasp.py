@@ -209,7 +209,14 @@ class GraspEnv(gym.Env[Any, Array]):
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)
-        self._observer = self.observer(config)
+        self._observer = Observer(
+            config,
+            self.hand,
+            self.task.observation_terms,
+            self.taxels.names,
+            self._touch,
+            first.shape,
+        )
         place = np.array([0.0, 0.0, items.height / 2])
         self.simulator.reset(self.hand.start_positions(), place, 0.0)
         self.state = self.simulator.state()
@@ -226,18 +233,6 @@ class GraspEnv(gym.Env[Any, Array]):
             desired = gym.spaces.Box(goal, goal)
         spaces = {"observation": self._observer.space, "achieved_goal": goals}
         self.observation_space = gym.spaces.Dict({**spaces, "desired_goal": desired})
-
-    def observer(self, config: GraspConfig) -> Observer:
-        """Return what makes observations, by another configuration of the sensors."""
-        return Observer(
-            config,
-            self.hand,
-            self.task.observation_terms,
-            () if config.touch == "absent" else self.taxels.names,
-            self._touch.is_boolean,
-            config.control_dt,
-            self._items.first.shape,
-        )
 
     def _palm_skin(self) -> Array:
         """Return the place (3,) on the palm's skin where objects are handed over."""
@@ -259,7 +254,6 @@ class GraspEnv(gym.Env[Any, Array]):
         self._item, start, observer_rng, task_rng = self.draw_start(self.np_random)
         item = self._item
         self._observer.reset(observer_rng)
-        self._touch.reset()
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(*start)
@@ -351,7 +345,7 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def observation_names(self) -> list[str]:
         """Return what each entry of ``observation`` is, in order."""
-        return list(self._observer.space.names)
+        return self._observer.names
 
     def observation_entries(self, *terms: str) -> Array:
         """Return indices of the newest entries of these terms, or "taxels", in ``observation``."""
@@ -416,14 +410,9 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _observe(self) -> Array:
         """Return the policy's observation; raise SimulationError when the physics broke."""
-        kind = self.config.touch
-        readings = np.zeros(0 if kind == "absent" else len(self.taxels))
-        if kind == "on":
-            where = f"touch_rule {self.config.touch_rule}: read"
-            readings = plugins.require_array(
-                self._touch.read(self.state), (len(self.taxels),), where
-            )
-        observation = self._observer.observe(self.state, readings)
+        observation = self._observer.observe(self.state)
+        what = f"touch_rule {self.config.touch_rule}: observation"
+        plugins.require_array(observation, self._observer.space.shape, what)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise SimulationError(
