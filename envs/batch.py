@@ -67,8 +67,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """Many worlds of one scene, in groups that may differ in layout, touch and the taxels' faults.
 
     Worlds of a group are consecutive. Observations are a dict of float32 tensors (n, ...) on the
-    device: ``observation``, each group's own at the front and zeros behind (`widths`),
-    ``achieved_goal`` and ``desired_goal``. Rewards are float32, ends bool, (n,): tensors as well.
+    device: ``observation``, each group's own at the front and zeros behind, ``achieved_goal`` and
+    ``desired_goal``. Rewards are float32, ends bool, (n,): tensors as well.
     In ``info``, each bool (n,) and NumPy's: ``is_success``; ``diverged``, as in `GraspEnv`, or because
     a world had no room for its contacts; and ``holding``.
 
@@ -121,13 +121,11 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": mode}
         self.single_action_space = single.action_space
         self.action_space = batch_space(single.action_space, n)
-        self.group_observation_spaces = tuple(
-            envs[kind].observation_space for kind in kinds
-        )
-        self.widths = tuple(len(envs[kind].observation_names()) for kind in kinds)
-        """Length of each group's own ``observation``."""
-        widest: Any = self.group_observation_spaces[int(np.argmax(self.widths))]
-        self.single_observation_space = widest
+        spaces: Any = [envs[kind].observation_space for kind in kinds]
+        self.group_observation_spaces = tuple(spaces)
+        """What the worlds of each group observe."""
+        widths = [space["observation"].shape[0] for space in spaces]
+        self.single_observation_space = widest = spaces[np.argmax(widths)]
         self.observation_space = batch_space(widest, n)
         self._is_exact = self.device.type == "cpu"
         self._rng, self._rngs = np.random.default_rng(), np.full(n, None)
@@ -137,7 +135,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._trial = Trial(self.task.hold, self.config.timestep)
         goals = np.zeros((2, n, self.task.goal_size), np.float32)
         self._achieved, self._desired = goals
-        self._obs = torch.zeros((n, max(self.widths)), device=self.device)
+        self._obs = torch.zeros((n, max(widths)), device=self.device)
         self.n_diverged = 0
         """Episodes that ended so, since the batch was made."""
 
@@ -208,11 +206,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """Return the state on the device, and what tasks and hold tests look at, NumPy's."""
         targets: Any = self.simulator.tensor(self._targets)
         state = replace(self.simulator.state(), targets=targets)
-        positions, rotations = state.link_positions[:, :0], state.link_rotations[:, :0]
-        truth = replace(
-            state, links=(), link_positions=positions, link_rotations=rotations
-        )
-        return state, truth.map(host)
+        return state, state.map(host)
 
     # -- a step ------------------------------------------------------------------------------
 

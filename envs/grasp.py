@@ -76,9 +76,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def __post_init__(self) -> None:
         """Convert what JSON, TOML and NumPy have instead of these types."""
         fields = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
-        if np.ndim(self.object_size) == 0:
-            fields["object_size"] = (self.object_size,)
-        for name, value in validation.plain(fields).items():
+        for name, value in validation.plain(GraspConfig, fields).items():
             object.__setattr__(self, name, value)
 
     @property

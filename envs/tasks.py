@@ -114,7 +114,7 @@ class Task(ABC):
     """Terms of the observation besides the hand's, by name."""
     is_batched: ClassVar[bool] = False
     """True if this very class plays many episodes side by side too (`batch.BatchEnv`). They are told
-    no poses of links, and of contacts only where `by_contacts` asks for them."""
+    of contacts only where `by_contacts` asks for them."""
     by_contacts: ClassVar[bool] = False
     """True if the task looks at contacts."""
 

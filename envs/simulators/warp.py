@@ -83,7 +83,6 @@ class WarpSimulator(BatchSimulator):
             self._indices, (plain._qpos, plain._qvel, plain._ctrl)
         )
         self._half_size = self.tensor(np.tile(scene.shape.half_size, (n, 1)))
-        self._weight = self.tensor(np.full(n, scene.mass * -host.opt.gravity[2]))
         self._contacts = self._contacts_now()
         self.diverged = np.zeros(n, bool)
 
@@ -145,7 +144,6 @@ class WarpSimulator(BatchSimulator):
             self._own["geom_solref"][skins] = self.tensor(solref)
             self._own["geom_friction"][(*skins, 0)] = self.tensor(friction)[:, None]
         self._half_size[rows] = self.tensor(half_size)
-        self._weight[rows] = self.tensor(mass * -plain.model.opt.gravity[2])
 
     def reset(
         self, which: Array, joints: Array, position: Array, yaw: Array, targets: Array
@@ -207,7 +205,8 @@ class WarpSimulator(BatchSimulator):
         now.ctrl[at, springs] = (
             giver.speed * way / way.norm(dim=1, keepdim=True).clamp_min(1e-9)
         )
-        now.xfrc_applied[rows, body, 2] = self._weight[rows]
+        gravity = float(self.plain.model.opt.gravity[2])
+        now.xfrc_applied[rows, body, 2] = -gravity * self._own["body_mass"][rows, body]
 
     def let_go(self, which: Array) -> None:
         """Make the givers' springs slack."""

@@ -81,7 +81,7 @@ def assert_alike(
     returns = []
     for group, width, *pairs in zip(
         [g for g in groups for _ in "ab"],
-        [w for w in batch.widths for _ in "ab"],
+        [s["observation"].shape[0] for s in batch.group_observation_spaces for _ in "ab"],
         seeds,
         together,
         strict=True,
@@ -220,9 +220,9 @@ def test_a_world_that_diverges_ends_alone() -> None:
 
 def test_by_name() -> None:
     """Worlds are shared out between layouts, and Gymnasium finds the batch by a scene's id."""
-    batch = tactilerl.make_vec(scene="handover", simulator="mujoco", n=5, layouts=(1, 5), device="loop")
+    batch = tactilerl.make_vec(scene="handover", simulator="mujoco", num_envs=5, layouts=(1, 5), device="loop")
     obs, _ = batch.reset(seed=0)
-    assert obs["observation"].shape == (5, max(batch.widths))
+    assert obs["observation"].shape == (5, batch.single_observation_space["observation"].shape[0])
     assert obs["observation"].dtype == torch.float32
     batch.close()
     found: Any = gym.make_vec(
@@ -232,8 +232,8 @@ def test_by_name() -> None:
     found.reset(seed=0)
     found.step(found.action_space.sample())
     found.close()
-    with pytest.raises(ValueError, match="n: found 1"):
-        tactilerl.make_vec("mpl", simulator="mujoco", n=1, layouts=(1, 5), device="loop")
+    with pytest.raises(ValueError, match="num_envs: found 1"):
+        tactilerl.make_vec("mpl", simulator="mujoco", num_envs=1, layouts=(1, 5), device="loop")
     if not torch.cuda.is_available():
         with pytest.raises(ValueError, match="device: found no GPU"):
             tactilerl.make_vec("mpl", simulator="mujoco")
