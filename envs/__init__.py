@@ -64,7 +64,8 @@ def make(
         known = (*hands.names(), *TOYS)
         hint = nearest(name, known)
         if name in scenes.names():
-            hint = f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
+            id = scenes.gymnasium_id(name)
+            hint = f"did you mean scene={name!r} (--scene {name}), or the id {id}? "
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
             f"unknown environment {name!r}; {hint}allowed: {', '.join(known)}, a hand's .toml file, a "

@@ -12,7 +12,7 @@ from copy import copy
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from operator import itemgetter
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -25,13 +25,12 @@ from . import tasks, touch
 from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv, checked
 from .hold import Trial
 from .objects import host
-from .observations import OF_HAND, Observer
+from .observations import OF_HAND, TAXELS
 from .simulators import batch as simulators
 from .state import Array, State
 
 T = TypeVar("T")
 Obs = dict[str, Any]
-TAXELS = [f.name for f in fields(GraspConfig) if f.name.startswith("taxel_")]
 BY_GROUP = frozenset(("layout", "touch", "hand_seed", "sensor", *TAXELS))
 """Fields in which the groups of a batch may differ."""
 
@@ -91,8 +90,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         """Make groups of worlds: the scene of each, and how many.
 
-        `device` is PyTorch's for MuJoCo Warp, or "loop": MuJoCo in a loop, on the CPU. There, the noise
-        of each step is `GraspEnv`'s own; on a GPU one generator draws it for all worlds.
+        `device` is PyTorch's for MuJoCo Warp, or "loop": MuJoCo in a loop, on the CPU.
 
         Raise ValueError for scenes that do not go together.
         """
@@ -110,12 +108,14 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         scene = single.simulator.scene
         self.simulator = simulators.make(scene, n, device, by_contacts)
         self.device, tensor = self.simulator.device, self.simulator.tensor
-        self._observer = _converted(single._observer, tensor)
-        self._members = []
-        for kind, env in envs.items():
-            worlds = np.flatnonzero(np.repeat([kind == k for k in kinds], sizes))
-            observer = _converted(env._observer, tensor)
-            self._members.append(_Member(worlds, observer))
+        self._observers = [
+            (
+                np.flatnonzero(np.repeat([kind == k for k in kinds], sizes)),
+                _converted(env._observer, tensor),
+            )
+            for kind, env in envs.items()
+        ]
+        """Worlds (k,) of one layout, kind of touch and hand, and what observes for them."""
         self._autoreset = autoreset
         mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
         self.metadata = {"autoreset_mode": mode}
@@ -127,8 +127,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         widths = [space["observation"].shape[0] for space in spaces]
         self.single_observation_space = widest = spaces[np.argmax(widths)]
         self.observation_space = batch_space(widest, n)
-        self._is_exact = self.device.type == "cpu"
-        self._rng, self._rngs = np.random.default_rng(), np.full(n, None)
+        self._rngs = np.full(n, None)
         self._targets = np.tile(single.hand.start_targets(), (n, 1))
         self._steps, self._position = np.zeros(n, int), np.zeros((n, 3))
         self._holding, self._over = np.zeros(n, bool), np.ones(n, bool)
@@ -158,16 +157,12 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         seeds: Any = [None] * n if seed is None else seed
         if isinstance(seed, int | np.integer):
             seeds = [seed + i for i in range(n)]
-        worlds = np.flatnonzero(mask).tolist()
-        if given := [int(seeds[i]) for i in worlds if seeds[i] is not None]:
-            self._rng = np.random.default_rng(given)
-        for i in worlds:
+        for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i], _ = gym.utils.seeding.np_random(int(seeds[i]))
         self._begin(mask)
         self._observe(*self._look(), mask, mask)
-        no = np.zeros(n, bool)
-        return self._results(), self._info(is_success=no, diverged=no)
+        return self._results(), self._info(np.zeros(n, bool), np.zeros(n, bool))
 
     def _begin(self, mask: Array) -> None:
         """Put worlds at the start of their next episodes."""
@@ -176,10 +171,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             return
         for i in worlds:
             self._rngs[i] = self._rngs[i] or np.random.default_rng()
-        draws = Draws(self._rngs, mask)
-        item, start, self._observer_draws, self._task_draws = self._single.draw_start(
-            draws
-        )
+        drawn = self._single.draw_start(Draws(self._rngs, mask))
+        item, start, self._observer_draws, self._task_draws = drawn
         half_size = np.stack(item.shape.half_size, axis=-1)
         what = half_size, item.mass, item.friction
         self.simulator.change_object(worlds, *(part[worlds] for part in what))
@@ -243,7 +236,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         reward = np.where(returned, self.task.compute_reward(*goals), 0.0)
         success = returned & self.task.is_success(*goals)
         results = reward.astype(np.float32), terminated, truncated
-        info = self._info(is_success=success, diverged=broken)
+        info = self._info(success, broken)
         return self._results(), *map(self._copy, results), info
 
     def _advance(self, actions: Array, playing: Array) -> None:
@@ -264,24 +257,22 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         Return bool (n,): whose are broken.
         """
-        shared, taxels = self._observer, None
-        senses = [*shared.senses, shared.past]
+        draws = Draws(self._observer_draws.rngs, first, self.simulator.tensor)
+        obs = self._obs.clone()
         if first.any():
-            rngs = self._observer_draws.rngs if self._is_exact else self._rng
-            sight, joints, taxels = Draws(rngs, first, self.simulator.tensor).spawn(3)
-            _in_some(first, senses, partial(shared.reset_senses, sight, joints))
             reset = partial(self.task.reset, truth, self._task_draws)
             achieved, desired = _in_some(first, [self.task], reset)
             self._achieved[first] = achieved[first]
             self._desired[first] = np.broadcast_to(desired, achieved.shape)[first]
             self._position[first] = truth.object_position[first]
             self._give(np.where(first, 0, -1))
-        entries = _in_some(which, senses, partial(shared.sense, state))
-        obs, begin = torch.zeros_like(self._obs), entries.shape[1]
-        obs[:, :begin] = entries
-        for member in self._members:
-            told = member.feel(state, which, first, taxels)
-            obs[member.worlds, begin : begin + told.shape[1]] = told.float()
+        for worlds, observer in self._observers:
+            parts, seen = observer.parts, state.map(itemgetter(worlds))
+            if first[worlds].any():
+                reset = partial(observer.reset, draws.at(worlds))
+                _in_some(first[worlds], parts, reset)
+            told: Any = _in_some(which[worlds], parts, partial(observer.observe, seen))
+            obs[worlds, : told.shape[1]] = told.float()
         is_sound = host(obs.abs().amax(1)) < LIMIT
         self._obs = _where(which & is_sound, obs, self._obs)
         return which & ~is_sound
@@ -289,17 +280,18 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     # -- what comes out ----------------------------------------------------------------------
 
     def _results(self) -> Obs:
-        goals = {"achieved_goal": self._achieved, "desired_goal": self._desired}
         return {
             "observation": self._obs,
-            **{name: self._copy(goal) for name, goal in goals.items()},
+            "achieved_goal": self._copy(self._achieved),
+            "desired_goal": self._copy(self._desired),
         }
 
     def _copy(self, values: Array) -> Tensor:
         return torch.tensor(values, device=self.device)
 
-    def _info(self, **values: Array) -> dict[str, Any]:
-        return {"holding": self._holding.copy(), **values}
+    def _info(self, success: Array, diverged: Array) -> dict[str, Any]:
+        holding = self._holding.copy()
+        return {"is_success": success, "diverged": diverged, "holding": holding}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release what the simulator holds."""
@@ -310,23 +302,6 @@ def _without_idle_seed(config: GraspConfig) -> GraspConfig:
     """Return a scene without the seed of its hand where hands do not differ."""
     is_needed = any(getattr(config, name) for name in OF_HAND)
     return config if is_needed else replace(config, hand_seed=None)
-
-
-class _Member(NamedTuple):
-    """Hold the worlds (k,) of one layout, kind of touch and hand, and what makes their observations."""
-
-    worlds: Array
-    observer: Observer
-
-    def feel(self, state: State, which: Array, first: Array, draws: Any) -> Any:
-        """Return what policies are told of the taxels."""
-        observer, which, first = self.observer, which[self.worlds], first[self.worlds]
-        things = [each for each in (observer.rule, *observer.stages) if each]
-        if first.any():
-            own = draws.at(self.worlds)
-            _in_some(first, things, partial(observer.reset_taxels, own))
-        seen = state.map(itemgetter(self.worlds))
-        return _in_some(which, things, partial(observer.feel, seen))
 
 
 def _converted(part: Any, tensor: Callable[[Any], Tensor]) -> Any:
@@ -365,7 +340,7 @@ _REMEMBERED: Any = (bool, int, float, np.generic, np.ndarray, Tensor)
 
 def _where(which: Array, new: Any, old: Any) -> Any:
     """Return the new value of some worlds, and the old of the others."""
-    if isinstance(new, Draws) and not new.is_one:
+    if isinstance(new, Draws):
         new.rngs = np.where(which, new.rngs, old.rngs)
     if new is old or not isinstance(new, _REMEMBERED):
         return new
@@ -377,27 +352,23 @@ def _where(which: Array, new: Any, old: Any) -> Any:
 
 
 class Draws:
-    """NumPy's generators for many episodes: what they draw has a leading axis, zeros off `which` (n,).
+    """NumPy's generators (n,), one for each of many episodes: what they draw has a leading axis.
 
-    Each episode has its own (n,), and draws the numbers of `GraspEnv`, or one draws for all at once.
+    Each draws the numbers of `GraspEnv`; those off `which`, bool (n,), draw none, and have zeros.
     """
 
     def __init__(
-        self, rngs: Any, which: Array, convert: Callable[[Any], Any] = np.asarray
+        self, rngs: Array, which: Array, convert: Callable[[Any], Any] = np.asarray
     ) -> None:
-        """Take the generators or generator, and what makes of arrays what is wanted."""
+        """Take the generators, and what makes of arrays what is wanted."""
         self.rngs, self.which, self._convert = rngs, which, convert
-        self.is_one = isinstance(rngs, np.random.Generator)
 
     def at(self, worlds: Array) -> Draws:
         """Return what draws for these of the episodes."""
-        rngs = self.rngs if self.is_one else self.rngs[worlds]
-        return Draws(rngs, self.which[worlds], self._convert)
+        return Draws(self.rngs[worlds], self.which[worlds], self._convert)
 
     def spawn(self, n: int) -> list[Draws]:
         """Return draws that are independent of these and of each other."""
-        if self.is_one:
-            return [self] * n
         children = np.full((n, len(self.rngs)), None)
         for i in np.flatnonzero(self.which):
             children[:, i] = self.rngs[i].spawn(n)
@@ -408,12 +379,7 @@ class Draws:
         return partial(self._draw, name)
 
     def _draw(self, name: str, *bounds: Any, size: Any = (), **options: Any) -> Any:
-        shape = np.empty(size).shape
-        whole = np.zeros((len(self.which), *shape))
-        if self.is_one:
-            size = (int(self.which.sum()), *shape)
-            whole[self.which] = getattr(self.rngs, name)(*bounds, size=size, **options)
-        else:
-            for i in np.flatnonzero(self.which):
-                whole[i] = getattr(self.rngs[i], name)(*bounds, size=size, **options)
+        whole = np.zeros((len(self.which), *np.empty(size).shape))
+        for i in np.flatnonzero(self.which):
+            whole[i] = getattr(self.rngs[i], name)(*bounds, size=size, **options)
         return self._convert(whole)

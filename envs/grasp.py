@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -27,12 +28,21 @@ from .simulators import SimulationError, Sphere
 from .skin import Skin
 from .state import Array, State
 from .tasks import TaskConfig
-from .validation import blamed, require_known, require_one_of
+from .validation import allow_only_with, blamed, require_known, require_one_of
 
 Step = tuple[dict[str, Array], float, bool, bool, dict[str, Any]]
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
+ONLY_WITH: tuple[tuple[Sequence[str], str, tuple[Any, ...]], ...] = (
+    (("sight_noise", "sight_noise_kind"), "object_seen", ("noisy",)),
+    (observations.TAXELS, "touch", ("on",)),
+    ([f"taxel_{name}" for name in sensors.OF_FIRING], "touch_rule", ("skin",)),
+    (("skin_thickness",), "simulator", ("mujoco",)),
+    (("start_closing",), "actions", ("fingers", "grip")),
+    (("start_offset", "start_yaw"), "jitter", (True,)),
+)
+"""Fields that do nothing unless another one has some value."""
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
 LIT_SCALE = 2.0  # of a taxel that fires, hard to see between hand and object
 
@@ -94,25 +104,27 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             found = f"found {self.control_dt} s"
             allowed = f"a whole number of timesteps of {self.timestep} s"
             raise ValueError(f"control_dt: {found}, allowed {allowed}")
-        if self.touch_rule != "skin":
-            validation.allow_only_with(
-                "touch_rule skin",
-                self,
-                *(f"taxel_{name}" for name in sensors.OF_FIRING),
+        for names, field, values in ONLY_WITH:
+            if getattr(self, field) not in values:
+                what = f"{field} {' or '.join(map(str, values))}"
+                allow_only_with(what, self, *names)
+        if touch.RULES[self.touch_rule].is_boolean:
+            what, idle = "taxels that read a force (touch_rule force)", sensors.OF_FORCE
+        else:
+            what, idle = (
+                "Boolean taxels (touch_rule skin or contact)",
+                sensors.OF_BOOLEAN,
             )
+        allow_only_with(what, self, *(f"taxel_{name}" for name in idle))
         if self.skin_thickness is None:
-            validation.allow_only_with("skin_thickness", self, "skin_modulus")
-        if self.simulator == "pybullet":
-            validation.allow_only_with("simulator mujoco", self, "skin_thickness")
-            if "ellipsoid" in self.object:
-                raise ValueError(
-                    "object: found ellipsoid, allowed only with simulator mujoco"
-                )
-        if self.actions == "all":
-            validation.allow_only_with("actions fingers or grip", self, "start_closing")
+            allow_only_with("skin_thickness", self, "skin_modulus")
+        if self.simulator == "pybullet" and "ellipsoid" in self.object:
+            raise ValueError(
+                "object: found ellipsoid, allowed only with simulator mujoco"
+            )
         objects.validate(self)
         tasks.validate(self)
-        observations.validate(self, self.touch, touch.RULES[self.touch_rule].is_boolean)
+        observations.validate(self)
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
@@ -408,7 +420,7 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _observe(self) -> Array:
         """Return the policy's observation; raise SimulationError when the physics broke."""
-        observation = self._observer.observe(self.state)
+        observation = self._observer.observe(self.state).astype(np.float32)
         what = f"touch_rule {self.config.touch_rule}: observation"
         plugins.require_array(observation, self._observer.space.shape, what)
         largest = np.abs(observation).max()

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from .validation import allow_only_with, hints, require_one_of, require_type
+from .validation import hints, require_one_of, require_type
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -316,5 +316,3 @@ def validate(config: ObjectConfig) -> None:
     ):
         if is_wrong:
             raise ValueError(f"object_size: found {size:g} m, allowed {allowed}")
-    if not config.jitter:
-        allow_only_with("jitter", config, "start_offset", "start_yaw")

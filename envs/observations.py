@@ -20,7 +20,7 @@ from .hands import ARM, SLIDES, Hand
 from .objects import KINDS, Shape, host, like, namespace
 from .sensors import OF_FORCE
 from .state import Array, State
-from .validation import Fraction, Newtons, allow_only_with, require_one_of
+from .validation import Fraction, Newtons, require_one_of
 
 Metres = Annotated[float, "[0, 1]"]
 Radians = Annotated[float, "[0, 3.142]"]
@@ -98,6 +98,10 @@ class SensorConfig(TaxelFaults):
     the run's seed, or 0 without a run."""
 
 
+TAXELS = [name for name in vars(SensorConfig()) if name.startswith("taxel_")]
+"""Fields of taxels."""
+
+
 @dataclass(frozen=True)
 class ObservationConfig(SensorConfig):
     """Observation of the policy."""
@@ -109,28 +113,12 @@ class ObservationConfig(SensorConfig):
     far the fingers are to close. The paper leaves them out."""
 
 
-def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
-    """Raise ValueError for the first field that does nothing with this `touch` or its rule."""
-    if (together := config.taxel_dead + config.taxel_stuck) > 1:
-        raise ValueError(
-            f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1"
-        )
-    if config.object_seen != "noisy":
-        allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
-    if touch != "on":
-        what = "touch on (else no taxel is read)"
-        taxels = "taxel_delay", "taxel_radius", "taxel_threshold", "taxel_release"
-        allow_only_with(what, config, *vars(TaxelFaults()), *taxels)
+def validate(config: ObservationConfig) -> None:
+    """Raise ValueError for a taxel that stops firing before it may begin."""
     release, highest = config.taxel_release, config.taxel_threshold or 0.0
     if release is not None and release > highest:
         allowed = f"up to taxel_threshold, {highest:g} N"
         raise ValueError(f"taxel_release: found {release} N, allowed {allowed}")
-    if not is_boolean:
-        what = "Boolean taxels (touch_rule skin or contact)"
-        allow_only_with(what, config, "taxel_false_on", "taxel_stuck")
-    else:
-        names = (f"taxel_{name}" for name in OF_FORCE)
-        allow_only_with("taxels that read a force (touch_rule force)", config, *names)
 
 
 # -- terms -----------------------------------------------------------------------------------
@@ -356,7 +344,8 @@ class JointErrors:
         return replace(
             state,
             joint_positions=state.joint_positions + error,
-            joint_velocities=state.joint_velocities + (noise - before) / self.control_dt,
+            joint_velocities=state.joint_velocities
+            + (noise - before) / self.control_dt,
             # The slides, along the world's axes, carry the palm.
             palm=state.palm + error[..., ARM],
         )
@@ -456,17 +445,15 @@ class Observer:
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
         held = np.where(is_slide, config.slide_noise_held, config.joint_noise_held)
-        self.senses: list[Any] = [Sight(config, first)]
-        """Stages that change a state on its way to the policy."""
+        self._senses: list[Any] = [Sight(config, first)]
         if white.any() or held.any():
-            self.senses.append(JointErrors(white, held, config.control_dt))
-        self.past = Past(config.history)
+            self._senses.append(JointErrors(white, held, config.control_dt))
+        self._past = Past(config.history)
         taxel_names = () if config.touch == "absent" else taxel_names
-        self.n_taxels = n = len(taxel_names)
-        self.rule = rule if config.touch == "on" else None
+        self._n_taxels = n = len(taxel_names)
+        self._rule = rule if config.touch == "on" else None
         stages = [make(config, n) for make in STAGES]
-        self.stages = [*filter(None, stages), Past(config.history)]
-        """Stages that the taxels' readings pass."""
+        self._stages = [*filter(None, stages), Past(config.history)]
         entries = [  # term and name of each
             (name, f"{term.what} {entry}")
             for name, term in self._terms.items()
@@ -488,6 +475,12 @@ class Observer:
             high[readings] = 1.0
         self.space = gym.spaces.Box(low, high)
 
+    @property
+    def parts(self) -> list[Any]:
+        """What remembers something of an episode."""
+        parts = *self._senses, self._past, self._rule, *self._stages
+        return [part for part in parts if part]
+
     def entries(self, *terms: str) -> Array:
         """Return indices of the newest entries of these terms, if the hand has them, or "taxels"."""
         return np.flatnonzero(np.isin(self._term_of_entry, terms))
@@ -495,44 +488,32 @@ class Observer:
     def reset(self, rng: Any) -> None:
         """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
-        self.reset_senses(sight, joints)
-        self.reset_taxels(taxels)
-
-    def reset_senses(self, sight: Any, joints: Any) -> None:
-        """Begin a new episode of what is sensed but for the taxels."""
-        for sense, rng in zip(self.senses, (sight, joints), strict=False):
-            sense.reset(rng)
-        self.past.reset(joints)
-
-    def reset_taxels(self, rng: Any) -> None:
-        """Begin a new episode of the taxels."""
-        if self.rule:
-            self.rule.reset()
-        for stage in self.stages:
-            stage.reset(rng)
+        for sense, own in zip(self._senses, (sight, joints), strict=False):
+            sense.reset(own)
+        self._past.reset(joints)
+        if self._rule:
+            self._rule.reset()
+        for stage in self._stages:
+            stage.reset(taxels)
 
     def observe(self, state: State) -> Array:
-        """Return the observation (n,) float32 of a state; once a control step."""
-        obs = self.sense(state), self.feel(state)
-        return np.concatenate(obs, dtype=np.float32, casting="same_kind")
-
-    def sense(self, state: State) -> Array:
-        """Return the observation (..., m) of a state without its taxels; once a control step."""
-        for sense in self.senses:
-            state = sense(state)
+        """Return the observation (..., n) of a state; once a control step."""
+        xp, seen = namespace(state.palm), state
+        for sense in self._senses:
+            seen = sense(seen)
         terms = [
-            like(term.read(self.hand, state), state.palm)
+            like(term.read(self.hand, seen), state.palm)
             for term in self._terms.values()
         ]
-        return self.past(namespace(state.palm).concatenate(terms, axis=-1))
-
-    def feel(self, state: State) -> Array:
-        """Return what the policy is told of the taxels (..., k); once a control step."""
-        silent = np.zeros((*state.palm.shape[:-1], self.n_taxels))
-        told = self.rule.read(state) if self.rule else like(silent, state.palm)
-        for stage in self.stages:
+        sensed = self._past(xp.concatenate(terms, axis=-1))
+        if self._rule:
+            told = self._rule.read(state)
+        else:
+            told = like(np.zeros((*state.palm.shape[:-1], self._n_taxels)), state.palm)
+        for stage in self._stages:
             told = stage(told)
-        return told
+        obs: Array = xp.concatenate([sensed, told], axis=-1)
+        return obs
 
 
 STAGES: list[Callable[[Any, int], Stage | None]] = [

@@ -121,8 +121,10 @@ def together(hand: str, device: str, n: int, compared: int = 100) -> dict[str, A
     while not over.all():
         playing = ~over & ~env._holding
         seen = obs["observation"].cpu().numpy()
-        felt = [seen[number * n : (number + 1) * n, single.observation_entries("taxels")] > 0
-                for number, single in enumerate(plain)]
+        felt = [
+            seen[number * n : (number + 1) * n, single.observation_entries("taxels")] > 0
+            for number, single in enumerate(plain)
+        ]
         fired |= np.concatenate([part.any(1) for part in felt]) & playing
         if steps in (12, 20, 28, 36):
             taxels += compare_taxels(env, plain, felt, compared)

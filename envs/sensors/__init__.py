@@ -22,6 +22,7 @@ SUFFIX = ".toml"
 Money = Annotated[float, "[0, 1e9)"]
 OF_FIRING = "threshold", "release", "threshold_spread"
 OF_FORCE = "saturates", "noise", "gain_spread", "drift"
+OF_BOOLEAN = "false_on", "stuck"
 UNUSED = {
     "skin": OF_FORCE,
     "contact": (*OF_FIRING, *OF_FORCE),

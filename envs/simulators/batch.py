@@ -49,7 +49,7 @@ class BatchSimulator:
     def reset(
         self, which: Array, joints: Array, position: Array, yaw: Array, targets: Array
     ) -> None:
-        """Put worlds at rest at these joint positions and object poses, (k, ...) each; nobody carries."""
+        """Put worlds at rest at joint positions and object poses, (k, ...) each; nobody carries."""
         for i, *start in zip(which, joints, position, yaw, targets, strict=True):
             self._guard(i, self.worlds[i].reset, *start)
 

@@ -31,7 +31,8 @@ BY_WORLD = (
     "actuator_actrange", "geom_solref",
 )  # fmt: skip
 SHARED = (
-    "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "xfrc_applied", "xpos", "xquat", "xmat", "overflow",
+    "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "xfrc_applied", "xpos", "xquat", "xmat",
+    "overflow",
 )  # fmt: skip
 HUGE = 1e10  # beyond it MuJoCo warns of a bad state
 

@@ -175,21 +175,6 @@ def test_a_next_episode_is_the_one_of_grasp_env(autoreset: bool) -> None:
     np.testing.assert_allclose(obs["observation"][0], again["observation"], atol=1e-5)
 
 
-def test_noise_drawn_at_once_is_the_seeds() -> None:
-    """As on a GPU, and not the same in two worlds, episodes or steps."""
-    first = config("mpl", layout="5", object_seen="noisy", joint_noise=0.02)
-
-    def told() -> Any:
-        batch: Any = BatchEnv("mpl", [(first, 2)], "loop")
-        batch._is_exact = False
-        obs = [batch.reset(seed=[3, 3])[0], batch.reset()[0], batch.step(np.zeros((2, 1)))[0]]
-        return np.concatenate([part["observation"][:, 4:7] for part in obs])  # where it is seen
-
-    values = told()
-    np.testing.assert_array_equal(values, told())
-    assert len(np.unique(values, axis=0)) == 6
-
-
 def test_scenes_that_do_not_go_together_are_named() -> None:
     first = config("mpl")
     for name, value in (("friction", 0.5), ("simulator", "pybullet")):
@@ -220,7 +205,9 @@ def test_a_world_that_diverges_ends_alone() -> None:
 
 def test_by_name() -> None:
     """Worlds are shared out between layouts, and Gymnasium finds the batch by a scene's id."""
-    batch = tactilerl.make_vec(scene="handover", simulator="mujoco", num_envs=5, layouts=(1, 5), device="loop")
+    batch = tactilerl.make_vec(
+        scene="handover", simulator="mujoco", num_envs=5, layouts=(1, 5), device="loop"
+    )
     obs, _ = batch.reset(seed=0)
     assert obs["observation"].shape == (5, batch.single_observation_space["observation"].shape[0])
     assert obs["observation"].dtype == torch.float32

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 from tactilerl import envs
 from tactilerl.envs import scenes, sensors
 from tactilerl.envs.batch import BatchEnv
@@ -133,8 +132,8 @@ def test_thresholds_scatter_from_taxel_to_taxel_once_a_hand():
 
 def readings(forces, n_episodes=1, **choices):
     """Return what is told (episodes, steps, n) of forces (steps, n)."""
-    config = setup("shadow", touch_rule="force", **choices)
-    stage = ForceErrors(config, forces.shape[1], control_dt=6.0)
+    config = setup("shadow", touch_rule="force", control_dt=6.0, **choices)
+    stage = ForceErrors(config, forces.shape[1])
     told = []
     for episode in range(n_episodes):
         stage.reset(np.random.default_rng(episode))
@@ -180,7 +179,7 @@ def test_a_batch_is_told_what_one_environment_is_told(choices, hand_seeds):
     scene = scenes.load("handover").on("mpl")
     first = setup("mpl", **{**scene, "simulator": "mujoco", "layout": "1", **choices})
     groups = [(replace(first, hand_seed=seed), 1) for seed in hand_seeds]
-    batch = BatchEnv("mpl", groups, "loop", AutoresetMode.DISABLED, numpy=True)
+    batch = BatchEnv("mpl", groups, "loop", autoreset=False)
     singles = [GraspEnv("mpl", config) for config, _ in groups]
     wait = np.full(1, -0.2)
     together = [batch.reset(seed=[10, 9])[0]]
@@ -189,7 +188,7 @@ def test_a_batch_is_told_what_one_environment_is_told(choices, hand_seeds):
         alone = [env.reset(seed=10 - number)[0]] + [env.step(wait)[0] for _ in range(25)]
         told = [obs["observation"] for obs in alone]
         assert np.array(told)[:, env.observation_entries("taxels")].any()
-        found = [obs["observation"][number] for obs in together]
+        found = [obs["observation"][number].numpy() for obs in together]
         np.testing.assert_allclose(found, told, atol=1e-5)
         env.close()
     batch.close()
