@@ -103,10 +103,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._single = single = envs[kinds[0]]
         self.config, self.hand, self.task = single.config, single.hand, single.task
         self.max_episode_steps = single.max_episode_steps
-        read = [self.task, *(env._touch for env in envs.values())]
-        by_contacts = any(part.by_contacts for part in read)
-        scene = single.simulator.scene
-        self.simulator = simulators.make(scene, n, device, by_contacts)
+        self.simulator = simulators.make(single.simulator.scene, n, device)
         self.device, tensor = self.simulator.device, self.simulator.tensor
         self._observers = [
             (

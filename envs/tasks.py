@@ -113,10 +113,7 @@ class Task(ABC):
     observation_terms: Mapping[str, Term] = MappingProxyType({})
     """Terms of the observation besides the hand's, by name."""
     is_batched: ClassVar[bool] = False
-    """True if this very class plays many episodes side by side too (`batch.BatchEnv`). They are told
-    of contacts only where `by_contacts` asks for them."""
-    by_contacts: ClassVar[bool] = False
-    """True if the task looks at contacts."""
+    """True if this very class plays many episodes side by side too (`batch.BatchEnv`)."""
 
     @classmethod
     def items(cls, config: ObjectConfig) -> Items:

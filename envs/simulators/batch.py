@@ -114,7 +114,7 @@ class BatchSimulator:
         """Release what is held outside Python."""
 
 
-def make(scene: Scene, n: int, device: str, with_contacts: bool) -> BatchSimulator:
+def make(scene: Scene, n: int, device: str) -> BatchSimulator:
     """Return n running scenes: MuJoCo's in a loop ("loop"), or MuJoCo Warp's on a PyTorch device.
 
     Raise ValueError where there is no such device, ImportError where MuJoCo Warp is not installed.
@@ -129,4 +129,4 @@ def make(scene: Scene, n: int, device: str, with_contacts: bool) -> BatchSimulat
         raise ImportError(
             "found no MuJoCo Warp; install the extra: pip install 'tactilerl[gpu]'"
         ) from error
-    return warp.WarpSimulator(scene, n, device, with_contacts)
+    return warp.WarpSimulator(scene, n, device)  # type: ignore[no-any-return]

@@ -42,10 +42,10 @@ class WarpSimulator(BatchSimulator):
 
     dtype = torch.float32
 
-    def __init__(self, scene: Scene, n: int, device: str, with_contacts: bool) -> None:
-        """Build n scenes on a PyTorch device; without contacts, states have none."""
+    def __init__(self, scene: Scene, n: int, device: str) -> None:
+        """Build n scenes on a PyTorch device."""
         self.scene, self.n, self.kind = scene, n, scene.shape.kind
-        self.device, self.with_contacts = torch.device(device), with_contacts
+        self.device = torch.device(device)
         self._device = warp.get_device(
             "cpu" if self.device.type == "cpu" else str(self.device)
         )
@@ -178,7 +178,7 @@ class WarpSimulator(BatchSimulator):
                 done = int(number)
                 ends = self._indices(np.flatnonzero(n_substeps == number))
                 finished.append((ends, [values[ends] for values in changing]))
-                if self.with_contacts and done:
+                if done:
                     for kept, part in zip(
                         self._contacts, self._contacts_now(), strict=True
                     ):
@@ -226,9 +226,6 @@ class WarpSimulator(BatchSimulator):
         now, body, links = self._now, self.plain._object_body, self._on_links
         positions, rotations = now.xpos[:, 1:body], now.xmat[:, 1:body]
         placed = positions[:, links] + (rotations[:, links] @ self._points)[..., 0]
-        contacts = self._contacts
-        if not self.with_contacts:
-            contacts = Contacts(*(part[:, :0] for part in contacts))
         half_size: Any = tuple(self._half_size.T)
         return State(
             shape=Shape(self.kind, half_size),
@@ -246,7 +243,7 @@ class WarpSimulator(BatchSimulator):
             fingertips=placed[:, 1:],
             joint_positions=now.qpos[:, self._qpos_of],
             joint_velocities=now.qvel[:, self._qvel_of],
-            contacts=contacts,
+            contacts=self._contacts,
             targets=now.qpos[:, :0],
             sensors=now.qpos[:, :0],
         )
