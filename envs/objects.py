@@ -277,12 +277,12 @@ class Items:
 
 def bounds(name: str, value: Number) -> tuple[float, float]:
     """Return lowest and highest of a number or of "LOW..HIGH"; raise ValueError, calling it `name`."""
-    parts = value.split("..") if isinstance(value, str) else [value]
+    first, dots, last = str(value).partition("..")
     try:
-        low, high = float(parts[0]), float(parts[-1])
-    except (ValueError, TypeError, OverflowError):
+        low, high = float(first), float(last if dots else first)
+    except ValueError:
         low = high = math.nan
-    if len(parts) > 2 or not low <= high:
+    if not low <= high:
         raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")
     return low, high
 

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -142,20 +141,10 @@ def load(name: str | Path) -> SensorFile:
             raise ValueError("table [sensor] is missing")
         file = validation.fill(_File, data)
         numbers = file.sensor
-        for field in ("release_N", "threshold_spread"):
-            if getattr(numbers, field) is not None and numbers.threshold_N is None:
-                raise ValueError(
-                    f"sensor.{field}: found without threshold_N, allowed with it"
-                )
-        if (numbers.release_N or 0.0) > (numbers.threshold_N or 0.0):
+        release, highest = numbers.release_N or 0.0, numbers.threshold_N or 0.0
+        if release > highest:
             raise ValueError(
-                f"sensor.release_N: found {numbers.release_N}, allowed up to threshold_N, "
-                f"{numbers.threshold_N}"
-            )
-        if (numbers.threshold_N or 0.0) > (numbers.saturates_N or math.inf):
-            raise ValueError(
-                f"sensor.threshold_N: found {numbers.threshold_N}, allowed up to saturates_N, "
-                f"{numbers.saturates_N}"
+                f"sensor.release_N: found {release}, allowed up to threshold_N, {highest}"
             )
     values: dict[str, Any] = {}
     for key, value in asdict(numbers).items():
