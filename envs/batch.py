@@ -145,8 +145,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Obs, dict[str, Any]]:
         """Begin an episode in all worlds, or those of ``options["reset_mask"]``, bool (n,).
 
-        A seed is a number, to which each world adds its index, or one for each of the n worlds. A world
-        plays the episode that `GraspEnv` plays after ``reset(seed=...)`` with its seed. Without one, its
+        A seed is a number, to which each world adds its index, or one for each of the n worlds. It
+        then plays the episode that `GraspEnv` plays after ``reset(seed=...)``. Without one, its
         generator goes on.
         """
         n = self.num_envs
