@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -28,21 +27,12 @@ from .simulators import SimulationError, Sphere
 from .skin import Skin
 from .state import Array, State
 from .tasks import TaskConfig
-from .validation import allow_only_with, blamed, require_known, require_one_of
+from .validation import blamed, require_known, require_one_of
 
 Step = tuple[dict[str, Array], float, bool, bool, dict[str, Any]]
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
-ONLY_WITH: tuple[tuple[Sequence[str], str, tuple[Any, ...]], ...] = (
-    (("sight_noise", "sight_noise_kind"), "object_seen", ("noisy",)),
-    (observations.TAXELS, "touch", ("on",)),
-    ([f"taxel_{name}" for name in sensors.OF_FIRING], "touch_rule", ("skin",)),
-    (("skin_thickness",), "simulator", ("mujoco",)),
-    (("start_closing",), "actions", ("fingers", "grip")),
-    (("start_offset", "start_yaw"), "jitter", (True,)),
-)
-"""Fields that do nothing unless another one has some value."""
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
 LIT_SCALE = 2.0  # of a taxel that fires, hard to see between hand and object
 
@@ -104,20 +94,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             found = f"found {self.control_dt} s"
             allowed = f"a whole number of timesteps of {self.timestep} s"
             raise ValueError(f"control_dt: {found}, allowed {allowed}")
-        for names, field, values in ONLY_WITH:
-            if getattr(self, field) not in values:
-                what = f"{field} {' or '.join(map(str, values))}"
-                allow_only_with(what, self, *names)
-        if touch.RULES[self.touch_rule].is_boolean:
-            what, idle = "taxels that read a force (touch_rule force)", sensors.OF_FORCE
-        else:
-            what, idle = (
-                "Boolean taxels (touch_rule skin or contact)",
-                sensors.OF_BOOLEAN,
-            )
-        allow_only_with(what, self, *(f"taxel_{name}" for name in idle))
-        if self.skin_thickness is None:
-            allow_only_with("skin_thickness", self, "skin_modulus")
+        for name, what in self.idle().items():
+            if (value := getattr(self, name)) != getattr(GraspConfig, name):
+                raise ValueError(f"{name}: found {value}, allowed only with {what}")
         if self.simulator == "pybullet" and "ellipsoid" in self.object:
             raise ValueError(
                 "object: found ellipsoid, allowed only with simulator mujoco"
@@ -125,6 +104,33 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         objects.validate(self)
         tasks.validate(self)
         observations.validate(self)
+
+    def idle(self) -> dict[str, str]:
+        """Return the fields that do nothing in this scene, and with what they would do something."""
+        rule = touch.RULES.get(self.touch_rule, touch.SkinTouch)
+        of_force, of_bits = sensors.OF_FORCE, sensors.OF_BITS
+        idle = tasks.idle_options(self.task)
+        for names, is_used, what in (
+            (
+                of_force,
+                not rule.is_boolean,
+                "taxels that read a force (touch_rule force)",
+            ),
+            (of_bits, rule.is_boolean, "Boolean taxels (touch_rule skin or contact)"),
+            (sensors.OF_FIRING, self.touch_rule == "skin", "touch_rule skin"),
+            (observations.TAXELS, self.touch == "on", "touch on"),
+            (
+                ("sight_noise", "sight_noise_kind"),
+                self.object_seen == "noisy",
+                "object_seen noisy",
+            ),
+            (("start_closing",), self.actions != "all", "actions fingers or grip"),
+            (("start_offset", "start_yaw"), self.jitter, "jitter"),
+            (("skin_modulus",), self.skin_thickness is not None, "skin_thickness"),
+            (("skin_thickness",), self.simulator != "pybullet", "simulator mujoco"),
+        ):
+            idle |= {} if is_used else dict.fromkeys(names, what)
+        return idle
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:

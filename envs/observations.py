@@ -519,7 +519,7 @@ class Observer:
 STAGES: list[Callable[[Any, int], Stage | None]] = [
     lambda config, n: (
         ForceErrors(config, n)
-        if any(getattr(config, f"taxel_{name}") for name in OF_FORCE)
+        if any(getattr(config, name) for name in OF_FORCE)
         else None
     ),
     lambda config, n: (

@@ -152,14 +152,6 @@ def require_rising(span: tuple[float, ...], where: str) -> None:
         raise ValueError(f"{where}: found {list(span)}, expected the lower end first")
 
 
-def allow_only_with(what: str, config: Any, *names: str) -> None:
-    """Raise ValueError for a field of `config` that is not as usual but does nothing without `what`."""
-    usual = {field.name: field.default for field in dataclasses.fields(config)}
-    for name in names:
-        if (value := getattr(config, name)) != usual[name]:
-            raise ValueError(f"{name}: found {value}, allowed only with {what}")
-
-
 # -- values ----------------------------------------------------------------------------------
 
 

@@ -19,15 +19,9 @@ from ..validation import Fraction, Newtons
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
 Money = Annotated[float, "[0, 1e9)"]
-OF_FIRING = "threshold", "release", "threshold_spread"
-OF_FORCE = "saturates", "noise", "gain_spread", "drift"
-OF_BOOLEAN = "false_on", "stuck"
-UNUSED = {
-    "skin": OF_FORCE,
-    "contact": (*OF_FIRING, *OF_FORCE),
-    "force": (*OF_FIRING, "false_on"),
-}
-"""Numbers that do nothing, by touch rule."""
+OF_FIRING = "taxel_threshold", "taxel_release", "taxel_threshold_spread"
+OF_FORCE = "taxel_saturates", "taxel_noise", "taxel_gain_spread", "taxel_drift"
+OF_BITS = "taxel_false_on", "taxel_stuck"
 T = TypeVar("T")
 
 
@@ -106,11 +100,11 @@ class SensorFile:
 
         What is unknown, or does nothing with its touch rule, is as usual.
         """
-        unused, usual = UNUSED.get(config.touch_rule, ()), _usual(config)
+        usual = _usual(config)
         known = {
             f"taxel_{name}": value
             for name, value in vars(self).items()
-            if f"taxel_{name}" in usual and value is not None and name not in unused
+            if f"taxel_{name}" in usual.keys() - config.idle() and value is not None
         }
         if self.delay is not None:  # control steps
             known["taxel_delay"] = round(self.delay / config.control_dt)
