@@ -289,7 +289,7 @@ class GraspEnv(gym.Env[Any, Array]):
         """Draw an episode's object and start; return the observer's and the task's generators too.
 
         The hand is open above the object, both a little moved with jitter. `rng` may draw for many
-        episodes (`batch.HostDraws`); arrays then have a leading axis, where they differ.
+        episodes (`batch.Draws`); arrays then have a leading axis, where they differ.
         """
         # To spawn draws nothing from the generator itself.
         observer_rng, task_rng, object_rng = rng.spawn(3)

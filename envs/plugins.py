@@ -54,7 +54,7 @@ def require_class(
     where = f"{field}: {name!r} ({getattr(kind, '__name__', kind)})"
     if not (isinstance(kind, type) and issubclass(kind, base)):
         raise ValueError(f"{where}: found no subclass of {base.__name__}")
-    if missing := sorted(kind.__abstractmethods__):
+    if missing := sorted(getattr(kind, "__abstractmethods__", ())):
         raise ValueError(f"{where} lacks {', '.join(missing)}")
     return kind
 
