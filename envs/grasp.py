@@ -107,29 +107,24 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 
     def idle(self) -> dict[str, str]:
         """Return the fields that do nothing in this scene, and with what they would do something."""
-        rule = touch.RULES.get(self.touch_rule, touch.SkinTouch)
-        of_force, of_bits = sensors.OF_FORCE, sensors.OF_BITS
+        is_boolean = touch.RULES.get(self.touch_rule, touch.SkinTouch).is_boolean
+        force = "taxels that read a force (touch_rule force)"
+        bits = "Boolean taxels (touch_rule skin or contact)"
+        sight = "sight_noise", "sight_noise_kind"
         idle = tasks.idle_options(self.task)
-        for names, is_used, what in (
-            (
-                of_force,
-                not rule.is_boolean,
-                "taxels that read a force (touch_rule force)",
-            ),
-            (of_bits, rule.is_boolean, "Boolean taxels (touch_rule skin or contact)"),
-            (sensors.OF_FIRING, self.touch_rule == "skin", "touch_rule skin"),
-            (observations.TAXELS, self.touch == "on", "touch on"),
-            (
-                ("sight_noise", "sight_noise_kind"),
-                self.object_seen == "noisy",
-                "object_seen noisy",
-            ),
-            (("start_closing",), self.actions != "all", "actions fingers or grip"),
-            (("start_offset", "start_yaw"), self.jitter, "jitter"),
-            (("skin_modulus",), self.skin_thickness is not None, "skin_thickness"),
-            (("skin_thickness",), self.simulator != "pybullet", "simulator mujoco"),
+        for is_used, what, names in (
+            (not is_boolean, force, sensors.OF_FORCE),
+            (is_boolean, bits, sensors.OF_BITS),
+            (self.touch_rule == "skin", "touch_rule skin", sensors.OF_FIRING),
+            (self.touch == "on", "touch on", observations.TAXELS),
+            (self.object_seen == "noisy", "object_seen noisy", sight),
+            (self.actions != "all", "actions fingers or grip", ["start_closing"]),
+            (self.jitter, "jitter", ["start_offset", "start_yaw"]),
+            (self.skin_thickness is not None, "skin_thickness", ["skin_modulus"]),
+            (self.simulator != "pybullet", "simulator mujoco", ["skin_thickness"]),
         ):
-            idle |= {} if is_used else dict.fromkeys(names, what)
+            if not is_used:
+                idle |= dict.fromkeys(names, what)
         return idle
 
 
