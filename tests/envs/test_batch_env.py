@@ -199,7 +199,7 @@ def test_a_world_that_diverges_ends_alone() -> None:
     assert not terminated.any()
     assert not reward.any()
     np.testing.assert_array_equal(obs["observation"][1], before["observation"][1])
-    assert np.isfinite(obs["observation"]).all()
+    assert obs["observation"].isfinite().all()
     assert batch.n_diverged == 1
 
 
