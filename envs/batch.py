@@ -283,7 +283,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             "desired_goal": self._copy(self._desired),
         }
 
-    def _copy(self, values: Array) -> Tensor:
+    def _copy(self, values: Array) -> Any:
         return torch.tensor(values, device=self.device)
 
     def _info(self, success: Array, diverged: Array) -> dict[str, Any]:
