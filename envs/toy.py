@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -19,11 +18,6 @@ class _Toy(gym.Env[Any, Array]):
     side_by_side = "in turn"
     n_actions: int
     max_episode_steps: int
-    _begin: Callable[[], dict[str, Any]]
-    """Draw a start; return info."""
-    _move: Callable[[Array], tuple[float, dict[str, Any]]]
-    """Act by an action within its limits; return reward and info."""
-    _obs: Callable[[], Any]
 
     def __init__(self, render_mode: None = None) -> None:
         """Make the space of actions; ValueError where it is to be rendered."""
@@ -47,6 +41,15 @@ class _Toy(gym.Env[Any, Array]):
         reward, info = self._move(np.clip(np.asarray(action, np.float64), -1.0, 1.0))
         self._steps += 1
         return self._obs(), reward, False, self._steps >= self.max_episode_steps, info
+
+    def _begin(self) -> dict[str, Any]:
+        raise NotImplementedError
+
+    def _move(self, action: Array) -> tuple[float, dict[str, Any]]:
+        raise NotImplementedError
+
+    def _obs(self) -> Any:
+        raise NotImplementedError
 
 
 class LQREnv(_Toy):
