@@ -12,20 +12,13 @@ from __future__ import annotations
 if __name__ == "envs":  # found by its folder: all of it would be there twice
     raise ImportError("envs is part of tactilerl: import tactilerl.envs")
 
-import contextlib
-import io
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
-from itertools import pairwise
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
-from gymnasium.envs.registration import WrapperSpec
 
 from . import hands, plugins, scenes, validation
 from .validation import nearest, require_known
@@ -33,7 +26,6 @@ from .validation import nearest, require_known
 if TYPE_CHECKING:
     from .batch import BatchEnv
 
-ROBOTICS = "gymnasium_robotics"
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
@@ -70,10 +62,14 @@ def make(
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:
         known = (*hands.names(), *TOYS)
+        hint = nearest(name, known)
+        if name in scenes.names():
+            id = scenes.gymnasium_id(name)
+            hint = f"did you mean scene={name!r} (--scene {name}), or the id {id}? "
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
-            f"unknown environment {name!r}; {_hint(name, known)}allowed: {', '.join(known)}, a hand's "
-            f".toml file, a Gymnasium id, or MODULE:ID ({reason})"
+            f"unknown environment {name!r}; {hint}allowed: {', '.join(known)}, a hand's .toml file, a "
+            f"Gymnasium id, or MODULE:ID ({reason})"
         ) from None
     except (ValueError, OSError, RuntimeError):  # say what is wrong
         raise
@@ -88,17 +84,16 @@ def make_vec(
     *,
     scene: str | None = None,
     num_envs: int = 1,
-    n: int | None = None,
     layouts: Sequence[str | int] = (),
     device: str = "cuda",
-    options: Mapping[str, Any] = MappingProxyType({}),
+    autoreset: bool = True,
     **choices: Any,
 ) -> BatchEnv:
     """Return many worlds of a hand or scene, played at once: a Gymnasium VectorEnv of PyTorch tensors.
 
-    `n` (or `num_envs`) worlds are shared out evenly between `layouts` (none: the scene's own).
-    `device` is PyTorch's, for MuJoCo Warp, or "loop", which is exact and slow; `options` are
-    further arguments of `batch.BatchEnv`. The rest is as in `make`.
+    The worlds are shared out evenly between `layouts` (none: the scene's own). `device` is PyTorch's,
+    for MuJoCo Warp, or "loop", which is exact and slow; `autoreset` is that of `batch.BatchEnv`. The
+    rest is as in `make`.
 
     Raise ValueError for what cannot be.
     """
@@ -109,14 +104,12 @@ def make_vec(
         name, choices = _of_scene(scene, name, choices)
     if name is None or not hands.is_hand(name):
         raise ValueError(f"env: found {name!r} in a batch, allowed: {hands.allowed()}")
-    config, size = setup(name, **choices), num_envs if n is None else n
+    config = setup(name, **choices)
     shared = [replace(config, layout=str(layout)) for layout in layouts] or [config]
-    if size < len(shared):
-        raise ValueError(f"n: found {size}, allowed from {len(shared)}, one a layout")
-    ends = [size * part // len(shared) for part in range(len(shared) + 1)]
-    sizes = [end - start for start, end in pairwise(ends)]
-    groups = list(zip(shared, sizes, strict=True))
-    return BatchEnv(name, groups, device, **options)
+    if num_envs < (n := len(shared)):
+        raise ValueError(f"num_envs: found {num_envs}, allowed from {n}, one a layout")
+    groups = [(each, (num_envs + i) // n) for i, each in enumerate(shared)]
+    return BatchEnv(name, groups, device, autoreset)
 
 
 def _of_scene(
@@ -148,47 +141,13 @@ def _make_grasp(
     return GraspEnv(hand, setup(hand, **choices), render_mode)
 
 
-def _hint(name: str, known: tuple[str, ...]) -> str:
-    """Return a question that says what may have been meant, or nothing."""
-    if name in scenes.names():
-        return f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
-    if name not in gym.registry and find_spec(ROBOTICS):
-        with contextlib.redirect_stderr(io.StringIO()):  # it prints what is new
-            import_module(ROBOTICS)  # which registers its environments
-        if name in gym.registry:
-            return f"did you mean {ROBOTICS}:{name}? "
-    return nearest(name, known)
-
-
-def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """Return an environment of ours without `gymnasium.make`'s time limit, its own set to that limit.
-
-    Its episodes are as long by themselves, and end as the task says. Other environments stay as they
-    are. Raise ValueError where the task needs more steps.
-    """
-    base: Any = env.unwrapped
-    if not isinstance(env, gym.wrappers.TimeLimit):
-        return env
-    steps = env._max_episode_steps
-    base.config = validation.replace(base.config, {"max_episode_steps": steps})
-    validation.validate(base.config)
-    base.max_episode_steps = base.spec.kwargs["max_episode_steps"] = steps
-    return env.env
-
-
-_OWN_LENGTH = WrapperSpec("at_its_length", "tactilerl.envs:at_its_length", {})
 # No wrapper may hide `compute_reward`.
 _register = partial(gym.register, order_enforce=False, disable_env_checker=True)
 
 
 def _register_ours(id: str, **kwargs: Any) -> None:
     """Register an environment of ours, and its batch: Gymnasium gives those no wrappers."""
-    _register(
-        id,
-        "tactilerl.envs:make",
-        additional_wrappers=(_OWN_LENGTH,),
-        kwargs=kwargs,
-    )
+    _register(id, "tactilerl.envs:make", kwargs=kwargs)
     batch = id.replace("-v", "Batch-v")
     _register(batch, vector_entry_point="tactilerl.envs:make_vec", kwargs=kwargs)
 

@@ -76,9 +76,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def __post_init__(self) -> None:
         """Convert what JSON, TOML and NumPy have instead of these types."""
         fields = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
-        if np.ndim(self.object_size) == 0:
-            fields["object_size"] = (self.object_size,)
-        for name, value in validation.plain(fields).items():
+        for name, value in validation.plain(GraspConfig, fields).items():
             object.__setattr__(self, name, value)
 
     @property
@@ -96,25 +94,38 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             found = f"found {self.control_dt} s"
             allowed = f"a whole number of timesteps of {self.timestep} s"
             raise ValueError(f"control_dt: {found}, allowed {allowed}")
-        if self.touch_rule != "skin":
-            validation.allow_only_with(
-                "touch_rule skin",
-                self,
-                *(f"taxel_{name}" for name in sensors.OF_FIRING),
+        for name, what in self.idle().items():
+            if (value := getattr(self, name)) != getattr(GraspConfig, name):
+                raise ValueError(f"{name}: found {value}, allowed only with {what}")
+        if self.simulator == "pybullet" and "ellipsoid" in self.object:
+            raise ValueError(
+                "object: found ellipsoid, allowed only with simulator mujoco"
             )
-        if self.skin_thickness is None:
-            validation.allow_only_with("skin_thickness", self, "skin_modulus")
-        if self.simulator == "pybullet":
-            validation.allow_only_with("simulator mujoco", self, "skin_thickness")
-            if "ellipsoid" in self.object:
-                raise ValueError(
-                    "object: found ellipsoid, allowed only with simulator mujoco"
-                )
-        if self.actions == "all":
-            validation.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)
         tasks.validate(self)
-        observations.validate(self, self.touch, touch.RULES[self.touch_rule].is_boolean)
+        observations.validate(self)
+
+    def idle(self) -> dict[str, str]:
+        """Return the fields that do nothing in this scene, and with what they would do something."""
+        is_boolean = touch.RULES.get(self.touch_rule, touch.SkinTouch).is_boolean
+        force = "taxels that read a force (touch_rule force)"
+        bits = "Boolean taxels (touch_rule skin or contact)"
+        sight = "sight_noise", "sight_noise_kind"
+        idle = tasks.idle_options(self.task)
+        for is_used, what, names in (
+            (not is_boolean, force, sensors.OF_FORCE),
+            (is_boolean, bits, sensors.OF_BITS),
+            (self.touch_rule == "skin", "touch_rule skin", sensors.OF_FIRING),
+            (self.touch == "on", "touch on", observations.TAXELS),
+            (self.object_seen == "noisy", "object_seen noisy", sight),
+            (self.actions != "all", "actions fingers or grip", ["start_closing"]),
+            (self.jitter, "jitter", ["start_offset", "start_yaw"]),
+            (self.skin_thickness is not None, "skin_thickness", ["skin_modulus"]),
+            (self.simulator != "pybullet", "simulator mujoco", ["skin_thickness"]),
+        ):
+            if not is_used:
+                idle |= dict.fromkeys(names, what)
+        return idle
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
@@ -209,7 +220,14 @@ class GraspEnv(gym.Env[Any, Array]):
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)
-        self._observer = self.observer(config)
+        self._observer = Observer(
+            config,
+            self.hand,
+            self.task.observation_terms,
+            self.taxels.names,
+            self._touch,
+            first.shape,
+        )
         place = np.array([0.0, 0.0, items.height / 2])
         self.simulator.reset(self.hand.start_positions(), place, 0.0)
         self.state = self.simulator.state()
@@ -226,18 +244,6 @@ class GraspEnv(gym.Env[Any, Array]):
             desired = gym.spaces.Box(goal, goal)
         spaces = {"observation": self._observer.space, "achieved_goal": goals}
         self.observation_space = gym.spaces.Dict({**spaces, "desired_goal": desired})
-
-    def observer(self, config: GraspConfig) -> Observer:
-        """Return what makes observations, by another configuration of the sensors."""
-        return Observer(
-            config,
-            self.hand,
-            self.task.observation_terms,
-            () if config.touch == "absent" else self.taxels.names,
-            self._touch.is_boolean,
-            config.control_dt,
-            self._items.first.shape,
-        )
 
     def _palm_skin(self) -> Array:
         """Return the place (3,) on the palm's skin where objects are handed over."""
@@ -259,7 +265,6 @@ class GraspEnv(gym.Env[Any, Array]):
         self._item, start, observer_rng, task_rng = self.draw_start(self.np_random)
         item = self._item
         self._observer.reset(observer_rng)
-        self._touch.reset()
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(*start)
@@ -279,7 +284,7 @@ class GraspEnv(gym.Env[Any, Array]):
         """Draw an episode's object and start; return the observer's and the task's generators too.
 
         The hand is open above the object, both a little moved with jitter. `rng` may draw for many
-        episodes (`batch.HostDraws`); arrays then have a leading axis, where they differ.
+        episodes (`batch.Draws`); arrays then have a leading axis, where they differ.
         """
         # To spawn draws nothing from the generator itself.
         observer_rng, task_rng, object_rng = rng.spawn(3)
@@ -351,7 +356,7 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def observation_names(self) -> list[str]:
         """Return what each entry of ``observation`` is, in order."""
-        return list(self._observer.space.names)
+        return self._observer.names
 
     def observation_entries(self, *terms: str) -> Array:
         """Return indices of the newest entries of these terms, or "taxels", in ``observation``."""
@@ -416,14 +421,9 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _observe(self) -> Array:
         """Return the policy's observation; raise SimulationError when the physics broke."""
-        kind = self.config.touch
-        readings = np.zeros(0 if kind == "absent" else len(self.taxels))
-        if kind == "on":
-            where = f"touch_rule {self.config.touch_rule}: read"
-            readings = plugins.require_array(
-                self._touch.read(self.state), (len(self.taxels),), where
-            )
-        observation = self._observer.observe(self.state, readings)
+        observation = self._observer.observe(self.state).astype(np.float32)
+        what = f"touch_rule {self.config.touch_rule}: observation"
+        plugins.require_array(observation, self._observer.space.shape, what)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise SimulationError(

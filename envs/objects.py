@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
-from .validation import allow_only_with, hints, require_one_of, require_type
+from .validation import hints, require_one_of, require_type
 
 Kind = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -277,12 +277,12 @@ class Items:
 
 def bounds(name: str, value: Number) -> tuple[float, float]:
     """Return lowest and highest of a number or of "LOW..HIGH"; raise ValueError, calling it `name`."""
-    parts = value.split("..") if isinstance(value, str) else [value]
+    first, dots, last = str(value).partition("..")
     try:
-        low, high = float(parts[0]), float(parts[-1])
-    except (ValueError, TypeError, OverflowError):
+        low, high = float(first), float(last if dots else first)
+    except ValueError:
         low = high = math.nan
-    if len(parts) > 2 or not low <= high:
+    if not low <= high:
         raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")
     return low, high
 
@@ -316,5 +316,3 @@ def validate(config: ObjectConfig) -> None:
     ):
         if is_wrong:
             raise ValueError(f"object_size: found {size:g} m, allowed {allowed}")
-    if not config.jitter:
-        allow_only_with("jitter", config, "start_offset", "start_yaw")

@@ -20,11 +20,15 @@ from .hands import ARM, SLIDES, Hand
 from .objects import KINDS, Shape, host, like, namespace
 from .sensors import OF_FORCE
 from .state import Array, State
-from .validation import Fraction, Newtons, allow_only_with, require_one_of
+from .validation import Fraction, Newtons, require_one_of
 
 Metres = Annotated[float, "[0, 1]"]
 Radians = Annotated[float, "[0, 3.142]"]
 SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying how much
+OF_HAND = (
+    "taxel_dead", "taxel_stuck", "taxel_threshold_spread", "taxel_gain_spread", "taxel_drift",
+)  # fmt: skip
+"""Faults in which hands differ, by their seed."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,10 @@ class SensorConfig(TaxelFaults):
     the run's seed, or 0 without a run."""
 
 
+TAXELS = [name for name in vars(SensorConfig()) if name.startswith("taxel_")]
+"""Fields of taxels."""
+
+
 @dataclass(frozen=True)
 class ObservationConfig(SensorConfig):
     """Observation of the policy."""
@@ -105,28 +113,12 @@ class ObservationConfig(SensorConfig):
     far the fingers are to close. The paper leaves them out."""
 
 
-def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
-    """Raise ValueError for the first field that does nothing with this `touch` or its rule."""
-    if (together := config.taxel_dead + config.taxel_stuck) > 1:
-        raise ValueError(
-            f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1"
-        )
-    if config.object_seen != "noisy":
-        allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
-    if touch != "on":
-        what = "touch on (else no taxel is read)"
-        taxels = "taxel_delay", "taxel_radius", "taxel_threshold", "taxel_release"
-        allow_only_with(what, config, *vars(TaxelFaults()), *taxels)
+def validate(config: ObservationConfig) -> None:
+    """Raise ValueError for a taxel that stops firing before it may begin."""
     release, highest = config.taxel_release, config.taxel_threshold or 0.0
     if release is not None and release > highest:
         allowed = f"up to taxel_threshold, {highest:g} N"
         raise ValueError(f"taxel_release: found {release} N, allowed {allowed}")
-    if not is_boolean:
-        what = "Boolean taxels (touch_rule skin or contact)"
-        allow_only_with(what, config, "taxel_false_on", "taxel_stuck")
-    else:
-        names = (f"taxel_{name}" for name in OF_FORCE)
-        allow_only_with("taxels that read a force (touch_rule force)", config, *names)
 
 
 # -- terms -----------------------------------------------------------------------------------
@@ -250,15 +242,14 @@ class ForceErrors(Stage):
     Gains and the sign of the drift are the hand's.
     """
 
-    def __init__(self, config: SensorConfig, n: int, control_dt: float) -> None:
+    def __init__(self, config: Any, n: int) -> None:
         """Draw the hand with `n` sensors."""
         self._gains = spread(config, "gain", n)
         signs = np.sign(hand_draws(config, "drift", n))
-        self._drift = config.taxel_drift * control_dt / 60 * signs  # N a control step
-        self._noise, self._highest = (
-            config.taxel_noise,
-            config.taxel_saturates or np.inf,
-        )
+        # N a control step
+        self._drift = config.taxel_drift * config.control_dt / 60 * signs
+        self._noise = config.taxel_noise
+        self._highest = config.taxel_saturates or np.inf
 
     def reset(self, rng: np.random.Generator) -> None:
         """Begin a new episode, at whose start the zero is right."""
@@ -342,11 +333,8 @@ class JointErrors:
     def reset(self, rng: Any) -> None:
         """Begin a new episode, and draw its constant offsets."""
         (held,) = rng.spawn(1)  # draws nothing from `rng`
-        self._rng, self._error = (
-            rng,
-            self.held * held.standard_normal(size=len(self.held)),
-        )
-        self._noise = _NOTHING_YET
+        self._rng, self._noise = rng, _NOTHING_YET
+        self._error = self.held * held.standard_normal(size=len(self.held))
 
     def __call__(self, state: State) -> State:
         """Return the state with joints and hand as they are sensed; once a control step."""
@@ -394,22 +382,20 @@ class Sight:
         """Return the state as it is seen; of the object's pose only position and quaternion count."""
         if self._mode == "exact":
             return state
-        xp = namespace(state.object_position)
+        position, orientation = state.object_position, state.object_orientation
+        xp = namespace(position)
         if self._mode == "hidden":
             state = replace(state, shape=self._first)
-            pose = [
-                xp.zeros_like(p)
-                for p in (state.object_position, state.object_orientation)
-            ]
+            position, orientation = xp.zeros_like(position), xp.zeros_like(orientation)
         elif self._mode == "noisy":
             error = self._error if self._is_held else self._draw()
-            orientation = _turned(error[..., 3:], state.object_orientation)
-            pose = [state.object_position + error[..., :3], orientation]
+            position = position + error[..., :3]
+            orientation = _turned(error[..., 3:], orientation)
         else:
-            now = [state.object_position, state.object_orientation]
-            self._start = _or_at_start(self._start, xp.concatenate(now, axis=-1))
-            pose = [self._start[..., :3], self._start[..., 3:]]
-        return replace(state, object_position=pose[0], object_orientation=pose[1])
+            pose = xp.concatenate([position, orientation], axis=-1)
+            self._start = _or_at_start(self._start, pose)
+            position, orientation = self._start[..., :3], self._start[..., 3:]
+        return replace(state, object_position=position, object_orientation=orientation)
 
 
 def _turned(vector: Array, quaternion: Array) -> Array:
@@ -428,20 +414,6 @@ def _turned(vector: Array, quaternion: Array) -> Array:
 # -- all of it -------------------------------------------------------------------------------
 
 
-class NamedBox(gym.spaces.Box):
-    """A Box of float32 that says what its entries are; the last `n_taxels` are readings from 0 up."""
-
-    def __init__(self, names: Sequence[str], n_taxels: int, is_boolean: bool) -> None:
-        """Take the entries' names; `is_boolean` says that readings are 0 or 1."""
-        high = np.full(len(names), np.inf, np.float32)
-        low = -high
-        low[len(names) - n_taxels :] = 0.0
-        if is_boolean:
-            high[len(names) - n_taxels :] = 1.0
-        super().__init__(low, high, dtype=np.float32)
-        self.names = tuple(names)
-
-
 class Observer:
     """Turn states into the observation of one hand with its sensors.
 
@@ -450,18 +422,17 @@ class Observer:
 
     def __init__(
         self,
-        config: ObservationConfig,
+        config: Any,
         hand: Hand,
         terms: Mapping[str, Term],
         taxel_names: tuple[str, ...],
-        is_boolean: bool,
-        control_dt: float,
+        rule: Any,
         first: Shape,
     ) -> None:
-        """Prepare the observation of a hand.
+        """Prepare the observation of a hand by a `grasp.GraspConfig`.
 
-        `terms` are the task's own, `taxel_names` those in the observation, `is_boolean` says that they
-        read 0 or 1, `first` is the shape of the scene's first object.
+        `terms` are the task's own, `taxel_names` those of the hand, `rule` their `touch.Rule`, `first`
+        is the shape of the scene's first object.
         """
         where = f"hand {hand.name}: observation"
         for term in hand.observation:
@@ -474,29 +445,41 @@ class Observer:
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
         held = np.where(is_slide, config.slide_noise_held, config.joint_noise_held)
-        joints = (
-            [JointErrors(white, held, control_dt)] if white.any() or held.any() else []
-        )
-        self.senses: list[Any] = [Sight(config, first), *joints]
-        """Stages that change a state on its way to the policy."""
-        stages = [make(config, len(taxel_names)) for make in STAGES]
-        self.stages = [*filter(None, stages), Past(config.history)]
-        """Stages that the taxels' readings pass."""
-        self.past = Past(config.history)
+        self._senses: list[Any] = [Sight(config, first)]
+        if white.any() or held.any():
+            self._senses.append(JointErrors(white, held, config.control_dt))
+        self._past = Past(config.history)
+        taxel_names = () if config.touch == "absent" else taxel_names
+        self._n_taxels = n = len(taxel_names)
+        self._rule = rule if config.touch == "on" else None
+        stages = [make(config, n) for make in STAGES]
+        self._stages = [*filter(None, stages), Past(config.history)]
         entries = [  # term and name of each
             (name, f"{term.what} {entry}")
             for name, term in self._terms.items()
             for entry in term.entries(hand)
         ]
         taxels = [("taxels", f"taxel {name}") for name in taxel_names]
-        names: list[str] = []
+        self.names: list[str] = []
+        """What each entry is."""
         self._term_of_entry: list[str] = []
         for part in (entries, taxels):
             for age in range(config.history):
                 for term, name in part:
-                    names.append(f"{name} (t-{age})" if age else name)
+                    self.names.append(f"{name} (t-{age})" if age else name)
                     self._term_of_entry.append("" if age else term)
-        self.space = NamedBox(names, config.history * len(taxels), is_boolean)
+        high = np.full(len(self.names), np.inf, np.float32)
+        low, readings = -high, slice(len(high) - config.history * n, None)
+        low[readings] = 0.0
+        if rule.is_boolean:
+            high[readings] = 1.0
+        self.space = gym.spaces.Box(low, high)
+
+    @property
+    def parts(self) -> list[Any]:
+        """What remembers something of an episode."""
+        parts = *self._senses, self._past, self._rule, *self._stages
+        return [part for part in parts if part]
 
     def entries(self, *terms: str) -> Array:
         """Return indices of the newest entries of these terms, if the hand has them, or "taxels"."""
@@ -505,49 +488,38 @@ class Observer:
     def reset(self, rng: Any) -> None:
         """Begin a new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
-        self.reset_senses(sight, joints)
-        self.reset_taxels(taxels)
+        for sense, own in zip(self._senses, (sight, joints), strict=False):
+            sense.reset(own)
+        self._past.reset(joints)
+        if self._rule:
+            self._rule.reset()
+        for stage in self._stages:
+            stage.reset(taxels)
 
-    def reset_senses(self, sight: Any, joints: Any) -> None:
-        """Begin a new episode of what is sensed but for the taxels."""
-        for sense, rng in zip(self.senses, (sight, joints), strict=False):
-            sense.reset(rng)
-        self.past.reset(joints)
-
-    def reset_taxels(self, rng: Any) -> None:
-        """Begin a new episode of the taxels."""
-        for stage in self.stages:
-            stage.reset(rng)
-
-    def observe(self, state: State, taxels: Array) -> Array:
-        """Return the observation (n,) float32 of a state and taxel readings; once a control step."""
-        obs = self.sense(state), self.feel(taxels)
-        return np.concatenate(obs, dtype=np.float32, casting="same_kind")
-
-    def sense(self, state: State) -> Array:
-        """Return the observation (..., m) of a state without its taxels; once a control step."""
-        for sense in self.senses:
-            state = sense(state)
+    def observe(self, state: State) -> Array:
+        """Return the observation (..., n) of a state; once a control step."""
+        xp, seen = namespace(state.palm), state
+        for sense in self._senses:
+            seen = sense(seen)
         terms = [
-            like(term.read(self.hand, state), state.palm)
+            like(term.read(self.hand, seen), state.palm)
             for term in self._terms.values()
         ]
-        return self.past(namespace(state.palm).concatenate(terms, axis=-1))
-
-    def feel(self, taxels: Array) -> Array:
-        """Return what the policy is told of the taxels' readings; once a control step."""
-        for stage in self.stages:
-            taxels = stage(taxels)
-        return taxels
+        sensed = self._past(xp.concatenate(terms, axis=-1))
+        if self._rule:
+            told = self._rule.read(state)
+        else:
+            told = like(np.zeros((*state.palm.shape[:-1], self._n_taxels)), state.palm)
+        for stage in self._stages:
+            told = stage(told)
+        obs: Array = xp.concatenate([sensed, told], axis=-1)
+        return obs
 
 
 STAGES: list[Callable[[Any, int], Stage | None]] = [
     lambda config, n: (
-        ForceErrors(config, n, config.control_dt)
-        if config.taxel_saturates
-        or config.taxel_noise
-        or config.taxel_gain_spread
-        or config.taxel_drift
+        ForceErrors(config, n)
+        if any(getattr(config, name) for name in OF_FORCE)
         else None
     ),
     lambda config, n: (

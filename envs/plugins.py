@@ -10,11 +10,9 @@ import sys
 import traceback
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from typing import Any, ClassVar, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
-
-from .validation import require_type
 
 imported: list[str] = []
 """Modules that this process was asked to import; those that it starts import them too."""
@@ -45,8 +43,7 @@ def require_class(
 ) -> Any:
     """Return the class that a field names.
 
-    Raises ValueError where it is not known, no subclass of `base`, lacks members of it, or has
-    constants of another type.
+    Raises ValueError where it is not known, no subclass of `base`, or lacks methods of it.
     """
     if name not in known:
         raise ValueError(
@@ -57,13 +54,8 @@ def require_class(
     where = f"{field}: {name!r} ({getattr(kind, '__name__', kind)})"
     if not (isinstance(kind, type) and issubclass(kind, base)):
         raise ValueError(f"{where}: found no subclass of {base.__name__}")
-    hints = get_type_hints(base, include_extras=True)
-    constants = {n: hint for n, hint in hints.items() if get_origin(hint) is ClassVar}
-    absent = {member for member in constants if not hasattr(kind, member)}
-    if missing := sorted(absent | getattr(kind, "__abstractmethods__", frozenset())):
+    if missing := sorted(getattr(kind, "__abstractmethods__", ())):
         raise ValueError(f"{where} lacks {', '.join(missing)}")
-    for member, hint in constants.items():
-        require_type(getattr(kind, member), get_args(hint)[0], f"{where}: {member}")
     return kind
 
 
@@ -73,12 +65,9 @@ def require_array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     Raise ValueError, which says `where`, when it is no array of numbers of this shape.
     """
     if np.shape(value) != shape or np.asarray(value).dtype.kind not in "bifu":
-        returned = (
-            f"an array {value.shape}"
-            if isinstance(value, np.ndarray)
-            else repr(value)[:50]
-        )
-        raise ValueError(f"{where}: found {returned}, allowed numbers of shape {shape}")
+        is_array = isinstance(value, np.ndarray)
+        found = f"an array {value.shape}" if is_array else repr(value)[:50]
+        raise ValueError(f"{where}: found {found}, allowed numbers of shape {shape}")
     return np.asarray(value)
 
 

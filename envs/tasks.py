@@ -22,7 +22,7 @@ from .objects import Items, ObjectConfig, Shape, bounds, require_ends
 from .observations import Term
 from .simulators import Giver, Simulator
 from .state import Array, State
-from .validation import allow_only_with, require_one_of
+from .validation import require_one_of
 
 # m beyond where fingertips get: lost, and missed
 BEYOND_REACH, BEYOND_FALLEN = 0.08, 0.03
@@ -67,12 +67,20 @@ def validate(config: TaskConfig) -> None:
     """Raise ValueError naming the first invalid field."""
     require_ends(config, "handover_reach")
     task = TASKS[config.task]
-    for other, kind in TASKS.items():
-        options = sorted({*getattr(kind, "options", ())} - {*task.options})
-        allow_only_with(f"task {other}", config, *options)
     if config.reward is not None:
         require_one_of(task.rewards, config.reward, "reward")
     task.validate(config)
+
+
+def idle_options(task: str) -> dict[str, str]:
+    """Return the fields that do nothing in a task, and in which task they would."""
+    options = {kind: getattr(TASKS[kind], "options", ()) for kind in TASKS}
+    return {
+        name: f"task {kind}"
+        for kind, names in options.items()
+        for name in names
+        if name not in options.get(task, ())
+    }
 
 
 class Start(NamedTuple):
@@ -113,10 +121,7 @@ class Task(ABC):
     observation_terms: Mapping[str, Term] = MappingProxyType({})
     """Terms of the observation besides the hand's, by name."""
     is_batched: ClassVar[bool] = False
-    """True if this very class plays many episodes side by side too (`batch.BatchEnv`). They are told
-    no poses of links, and of contacts only where `by_contacts` asks for them."""
-    by_contacts: ClassVar[bool] = False
-    """True if the task looks at contacts."""
+    """True if this very class plays many episodes side by side too (`batch.BatchEnv`)."""
 
     @classmethod
     def items(cls, config: ObjectConfig) -> Items:

@@ -96,8 +96,6 @@ class Rule(ABC):
     """True if the readings are 0 or 1."""
     by_sensors: bool = False
     """True if the rule reads sensors that the simulator has where the taxels are."""
-    by_contacts: bool = False
-    """True if the rule reads the state's contacts."""
     is_batched: bool = False
     """True if this very class reads states of many scenes, PyTorch's, too (`batch.BatchEnv`)."""
 
@@ -229,7 +227,7 @@ class ContactRule(Rule):
 class ForceRule(SkinTouch):
     """Rule "force": the normal force that each taxel alone would carry, N."""
 
-    is_boolean, by_contacts, is_batched = False, True, True
+    is_boolean, is_batched = False, True
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         """Prepare the rule "skin" and the taxels' centres."""

@@ -40,7 +40,9 @@ WORDS = {
     dict: "a table",
     NoneType: "None",
 }
-INTEGER_LIMIT = 2**63  # whole numbers stay below, so that they have a place in an array
+ACCEPTED: dict[Any, Any] = {float: int | float, tuple: list | tuple, Any: object}
+"""What Python types stand for a type in a field."""
+INTEGER_LIMIT = 2**63  # numbers stay below, so that they have a place in an array
 
 
 # -- names that somebody chose ---------------------------------------------------------------
@@ -103,33 +105,33 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
 
 
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
-    """Return a copy of a dataclass with some fields chosen otherwise.
+    """Return a copy of a dataclass with some fields chosen otherwise, as `plain` has them."""
+    return dataclasses.replace(instance, **plain(type(instance), choices))  # type: ignore[type-var]
 
-    Where a field is a tuple, a list stands for it, and one value for a tuple of one.
+
+def plain(kind: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values for fields of a dataclass, whose lists are tuples, and NumPy's numbers Python's.
+
+    One value stands for a tuple of one.
     """
-    values = plain(choices)
-    for name, value in values.items():
-        if (
-            isinstance(value, str | float | int)
-            and type(getattr(instance, name)) is tuple
-        ):
-            values[name] = (value,)
-    return dataclasses.replace(instance, **values)  # type: ignore[type-var]
-
-
-def quoted(value: Any) -> str:
-    """Return a string, a number or a list of them as TOML has it."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with JSON's lists as tuples, and NumPy's numbers as Python's."""
-    return {name: _plain(value) for name, value in values.items()}
+    tuples = {f.name for f in dataclasses.fields(kind) if isinstance(f.default, tuple)}
+    plain = {name: _plain(value) for name, value in values.items()}
+    return {
+        name: (value,)
+        if name in tuples and isinstance(value, str | float | int)
+        else value
+        for name, value in plain.items()
+    }
 
 
 def _plain(value: Any) -> Any:
     value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
     return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
+
+
+def quoted(value: Any) -> str:
+    """Return a string, a number or a list of them as TOML has it."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def validate(instance: Any) -> None:
@@ -150,14 +152,6 @@ def require_rising(span: tuple[float, ...], where: str) -> None:
         raise ValueError(f"{where}: found {list(span)}, expected the lower end first")
 
 
-def allow_only_with(what: str, config: Any, *names: str) -> None:
-    """Raise ValueError for a field of `config` that is not as usual but does nothing without `what`."""
-    usual = {field.name: field.default for field in dataclasses.fields(config)}
-    for name in names:
-        if (value := getattr(config, name)) != usual[name]:
-            raise ValueError(f"{name}: found {value}, allowed only with {what}")
-
-
 # -- values ----------------------------------------------------------------------------------
 
 
@@ -167,16 +161,13 @@ def require_type(value: Any, hint: Any, where: str) -> Any:
     Lists become tuples, whole numbers floats, tables dataclasses. It is an error when the value is not
     of that type, or not in its interval. True is no number, nor is 10**400.
     """
-    options = get_args(hint) if get_origin(hint) in (Union, UnionType) else [hint]
-    for option in options:
-        if _is_kind(value, option):
-            return _required(value, option, where)
-    raise ValueError(f"{where}: found {_short(value)}, allowed {words(hint)}")
-
-
-def _required(value: Any, hint: Any, where: str) -> Any:
-    """Check the interval and the parts of a value, which is of the type but for these."""
-    kind, inner = get_origin(hint) or hint, get_args(hint)
+    is_union = get_origin(hint) in (Union, UnionType)
+    options = get_args(hint) if is_union else (hint,)
+    option = next((each for each in options if _is_kind(value, each)), None)
+    kind, inner = get_origin(option) or option, get_args(option)
+    wrong = ValueError(f"{where}: found {_short(value)}, allowed {words(hint)}")
+    if option is None:
+        raise wrong
     if kind is Annotated:
         value = require_type(value, inner[0], where)
         for interval in inner[1:]:  # those of other libraries are no strings
@@ -184,22 +175,20 @@ def _required(value: Any, hint: Any, where: str) -> Any:
                 raise ValueError(f"{where}: found {value}, allowed {interval}")
     elif kind is Literal:
         require_one_of(inner, value, where)
-    elif kind is tuple and inner:
-        types = inner[:1] * len(value) if ... in inner else inner
+    elif kind in (tuple, list) and inner:
+        is_fixed = kind is tuple and ... not in inner
+        types = inner if is_fixed else inner[:1] * len(value)
         if len(types) != len(value):
-            raise ValueError(f"{where}: found {_short(value)}, allowed {words(hint)}")
-        items = enumerate(zip(value, types, strict=True), 1)
-        value = tuple(
-            require_type(item, each, f"{where} {number}" if _is_table(each) else where)
-            for number, (item, each) in items
+            raise wrong
+        wheres = (
+            f"{where} {number}" if dataclasses.is_dataclass(each) else where
+            for number, each in enumerate(types, 1)
         )
-    elif kind is list and inner:
-        value = [require_type(each, inner[0], where) for each in value]
+        return kind(map(require_type, value, types, wheres))
     elif kind is dict and inner:
-        types = inner[1]
-        value = {k: require_type(v, types, f"{where}.{k}") for k, v in value.items()}
-    elif _is_table(kind) and isinstance(value, dict):
-        value = fill(kind, value, where)
+        return {k: require_type(v, inner[1], f"{where}.{k}") for k, v in value.items()}
+    elif dataclasses.is_dataclass(kind) and isinstance(value, dict):
+        return fill(kind, value, where)  # type: ignore[arg-type]
     return float(value) if kind is float else value
 
 
@@ -210,20 +199,15 @@ def _is_kind(value: Any, hint: Any) -> bool:
         return _is_kind(value, get_args(hint)[0])
     if kind is Literal:
         return value is not None
-    if kind in (int, float):
-        is_number = isinstance(value, kind | int) and not isinstance(value, bool)
-        return is_number and (isinstance(value, float) or abs(value) < INTEGER_LIMIT)
-    if kind is tuple:
-        return isinstance(value, list | tuple)
-    if kind is str:
-        return isinstance(value, str) and "\0" not in value
-    if _is_table(kind):
-        return isinstance(value, kind | dict)
-    return kind is Any or isinstance(value, kind)
-
-
-def _is_table(kind: Any) -> bool:
-    return dataclasses.is_dataclass(kind)
+    if dataclasses.is_dataclass(kind):
+        return isinstance(value, kind | dict)  # type: ignore[operator]
+    if isinstance(value, bool) and kind in (int, float):
+        return False
+    if isinstance(value, int) and abs(value) >= INTEGER_LIMIT:
+        return False
+    if isinstance(value, str) and "\0" in value:
+        return False
+    return isinstance(value, ACCEPTED.get(kind, kind))
 
 
 def _is_within(value: float, interval: str) -> bool:
@@ -234,7 +218,7 @@ def _is_within(value: float, interval: str) -> bool:
 
 def words(hint: Any) -> str:
     """Return what a type allows, in words."""
-    kind, inner = get_origin(hint), get_args(hint)
+    kind, inner = get_origin(hint) or hint, get_args(hint)
     if kind is Annotated:
         return words(inner[0])
     if kind is Literal:
@@ -244,17 +228,14 @@ def words(hint: Any) -> str:
         return f"a list ({', '.join(items)})"
     if kind in (Union, UnionType):
         return " or ".join(map(words, inner))
-    if _is_table(hint):
+    if dataclasses.is_dataclass(kind):
         return WORDS[dict]
-    return WORDS.get(kind or hint, str(getattr(hint, "__name__", hint)))
+    return WORDS.get(kind, str(getattr(kind, "__name__", kind)))
 
 
 def _short(value: Any) -> str:
-    """Return a value, or its type when it has many parts."""
-    if isinstance(value, int) and abs(value) >= INTEGER_LIMIT:
-        return f"a number of {value.bit_length()} bits, allowed up to 63"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_short(item) for item in value[:9])}]"[:50]
+    """Return the beginning of a value; of a table, that it is one."""
+    value = list(value) if isinstance(value, tuple) else value
     return "a table" if isinstance(value, dict) else repr(value)[:50]
 
 

@@ -115,14 +115,13 @@ class Workers:
             return
         self._turn.value += 1
         turn, left = self._turn.value, iter(numbers)
-        order, running = deque[Future[T]](), set[Future[T]]()
+        order = deque[Future[T]]()
         with _death_named():
             try:
                 while True:
-                    running = {future for future in running if not future.done()}
+                    running = [future for future in order if not future.done()]
                     for number in itertools.islice(left, 2 * self._n - len(running)):
                         order.append(self._pool.submit(self._play, job, number, turn))
-                        running.add(order[-1])
                     if not order:
                         return
                     if order[0].done():

@@ -28,10 +28,7 @@ class HoldCup(Handover):
 
     limit: ClassVar[float] = 20.0
     """Largest pressure on the cup, N."""
-    is_batched, by_contacts = (
-        True,
-        True,
-    )  # any leading axes are welcome: `[..., i]`, `sum(-1)`
+    is_batched = True  # any leading axes are welcome: `[..., i]`, `sum(-1)`
     observation_terms = {
         "pressure": Term(
             "pressure on", lambda hand: ["cup"], lambda _, s: pressure(s)[..., None]

@@ -242,17 +242,9 @@ class TestTrain:
         assert len(Path("run/progress.csv").read_text().splitlines()) == 3
 
 
-def make_unregistered(name):
-    """Make an environment as where nobody has imported its package yet."""
-    gym.registry.pop(name, None)
-    sys.modules.pop("gymnasium_robotics", None)
-    return tactilerl.make(name)
-
-
 MISTAKES = [
     (lambda: tactilerl.train("lqr", gamma=2), r"gamma: found 2.0, allowed \[0, 1\]"),
     (lambda: tactilerl.train(Short()), "env: found <"),
-    (lambda: make_unregistered("FetchReach-v4"), "did you mean gymnasium_robotics:FetchReach-v4"),
     (lambda: tactilerl.make("zork:Env-v0"), "No module named 'zork'"),
     (
         lambda: tactilerl.PPO(lambda: gym.make("Pendulum-v1"), workers=2),

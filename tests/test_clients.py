@@ -49,23 +49,6 @@ def test_info_has_the_same_keys_and_plain_values_at_every_step():
     env.close()
 
 
-def test_gymnasiums_max_episode_steps_is_the_tasks_own():
-    envs = [
-        gym.make("tactilerl/Shadow-v0", layout="5", max_episode_steps=3),
-        tactilerl.make("shadow", layout="5", max_episode_steps=3),
-    ]
-    envs.append(gym.make(envs[0].spec))
-    ends = []
-    for env in envs:
-        env.reset(seed=0)
-        ends.append([env.step(np.zeros(23))[1:4] for _ in range(3)])
-    assert ends[0] == ends[1] == ends[2]
-    assert ends[0][-1][1:] == (True, False)
-    with pytest.raises(ValueError, match="max_episode_steps: found 20, allowed 53 or more"):
-        gym.make("tactilerl/Handover-v0", max_episode_steps=20)
-    assert gym.make("tactilerl/Shadow-v0", layout="5").unwrapped.max_episode_steps == 100
-
-
 def test_stable_baselines3_evaluates_our_policies(tmp_path):
     """A learner and a loaded policy; the toys take render_mode=None, as its make_vec_env gives it."""
     evaluate_policy = pytest.importorskip("stable_baselines3.common.evaluation").evaluate_policy

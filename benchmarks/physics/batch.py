@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from tactilerl import envs
 from tactilerl.envs.batch import BatchEnv
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
+from tactilerl.envs.simulators import mujoco
 
 from benchmarks.command import (
     DATA,
@@ -86,11 +86,10 @@ def speed(hand: str, device: str, n: int, steps: int = 40) -> dict[str, Any]:
     start, n_substeps = time.perf_counter(), np.full(n, env.config.n_substeps)
     for _ in range(5):
         env.simulator.step(env._targets, n_substeps)
-        env.simulator.check()
     physics = (time.perf_counter() - start) / 5
     row = {"worlds": n, "steps_per_second": n / seconds, "without_hold_tests": played / steps / seconds}
     row |= {"step_ms": 1e3 * seconds, "physics_ms": 1e3 * physics, "start_s": made}
-    row |= {"diverged": env.n_diverged, "no_room": env.n_overflowed, "steps": n * (steps + 30)}
+    row |= {"diverged": env.n_diverged, "steps": n * (steps + 30)}
     env.close()
     return row
 
@@ -113,18 +112,23 @@ def alone(hand: str, layout: str, seeds: list[int]) -> list[tuple[bool, bool]]:
 def together(hand: str, device: str, n: int, compared: int = 100) -> dict[str, Any]:
     """Play the same in a batch of all layouts, and read taxels in some of its states in MuJoCo too."""
     configs = [config(hand, layout) for layout in layouts(hand).values()]
-    env = BatchEnv(hand, [(scene, n) for scene in configs], device, AutoresetMode.DISABLED)
+    env = BatchEnv(hand, [(scene, n) for scene in configs], device, autoreset=False)
     plain = [GraspEnv(hand, scene) for scene in configs]
-    env.reset(seed=[SEED + i for i in range(n)] * len(configs))
+    obs, _ = env.reset(seed=[SEED + i for i in range(n)] * len(configs))
     fired, over, held = (np.zeros(env.num_envs, bool) for _ in range(3))
     taxels = np.zeros((len(configs), 3), int)
     broken, steps, start = 0, 0, time.perf_counter()
     while not over.all():
         playing = ~over & ~env._holding
-        fired |= env.taxel_readings().any(1).cpu().numpy() & playing
+        seen = obs["observation"].cpu().numpy()
+        felt = [
+            seen[number * n : (number + 1) * n, single.observation_entries("taxels")] > 0
+            for number, single in enumerate(plain)
+        ]
+        fired |= np.concatenate([part.any(1) for part in felt]) & playing
         if steps in (12, 20, 28, 36):
-            taxels += compare_taxels(env, plain, n, compared)
-        *_, terminated, truncated, info = env.step(fired[:, None].astype(float))
+            taxels += compare_taxels(env, plain, felt, compared)
+        obs, _, terminated, truncated, info = env.step(fired[:, None].astype(float))
         held |= info["is_success"]
         broken += int(info["diverged"].sum())
         over |= (terminated | truncated).cpu().numpy()
@@ -134,15 +138,14 @@ def together(hand: str, device: str, n: int, compared: int = 100) -> dict[str, A
         part, (same, on, all_) = slice(number * n, (number + 1) * n), taxels[number].tolist()
         rows[name] = {"held": held[part].tolist(), "felt": fired[part].tolist()}
         rows[name] |= {"taxels": all_, "taxels_alike": same, "taxels_on": on}
-    row = {"starts": n, "seconds": seconds, "diverged": env.n_diverged, "no_room": env.n_overflowed}
+    row = {"starts": n, "seconds": seconds, "diverged": env.n_diverged}
     env.close()
     return row | {"layouts": rows}
 
 
-def compare_taxels(env: BatchEnv, plain: list[GraspEnv], n: int, compared: int) -> Any:
+def compare_taxels(env: BatchEnv, plain: list[GraspEnv], felt: list[Any], compared: int) -> Any:
     """Return taxels that read alike, that are on, and all, (n_groups, 3), in states put into MuJoCo."""
-    state, counts = env.simulator.state(), []
-    felt = env.taxel_readings().cpu().numpy() > 0
+    state, counts, n = env.simulator.state(), [], len(felt[0])
     tensors: Any = state.joint_positions, state.object_position, state.object_orientation
     parts = [part.cpu().numpy().astype(float) for part in tensors]
     for number, single in enumerate(plain):
@@ -153,7 +156,8 @@ def compare_taxels(env: BatchEnv, plain: list[GraspEnv], n: int, compared: int) 
             simulator.change_object(shape, simulator.scene.mass, simulator.scene.friction)
             simulator.place(*(part[i] for part in parts))  # type: ignore[attr-defined]
             seen = single.taxel_readings()
-            count += (int((seen == felt[i, : len(seen)]).sum()), int(seen.sum()), len(seen))
+            same = seen == felt[number][i - number * n]
+            count += (int(same.sum()), int(seen.sum()), len(seen))
         counts.append(count)
     return np.array(counts)
 
@@ -192,17 +196,15 @@ def physics(
     hand: str, device: str, timestep: float, iterations: int, seeds: list[int], right: Any
 ) -> dict[str, Any]:
     """Measure a setting's speed, and how far its objects are from the reference's."""
-    options = {} if device == "loop" else {"iterations": iterations}
-    env = BatchEnv(
-        hand, [(setting(hand, timestep), len(seeds))], device, AutoresetMode.DISABLED, **options
-    )
+    mujoco.SOLVER_ITERATIONS = iterations
+    env = BatchEnv(hand, [(setting(hand, timestep), len(seeds))], device, autoreset=False)
     env.reset(seed=seeds)
     start = time.perf_counter()
     places = _ends(env, lambda: env._look()[1])
     seconds = (time.perf_counter() - start) / len(places)
     row = {"worlds": len(seeds), "step_ms": 1e3 * seconds, **errors(places, right)}
     env.close()
-    return row | {"diverged": env.n_diverged, "no_room": env.n_overflowed}
+    return row | {"diverged": env.n_diverged}
 
 
 def joined(futures: list[Future[Any]]) -> Any:

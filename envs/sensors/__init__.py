@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,14 +19,9 @@ from ..validation import Fraction, Newtons
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
 Money = Annotated[float, "[0, 1e9)"]
-OF_FIRING = "threshold", "release", "threshold_spread"
-OF_FORCE = "saturates", "noise", "gain_spread", "drift"
-UNUSED = {
-    "skin": OF_FORCE,
-    "contact": (*OF_FIRING, *OF_FORCE),
-    "force": (*OF_FIRING, "false_on"),
-}
-"""Numbers that do nothing, by touch rule."""
+OF_FIRING = "taxel_threshold", "taxel_release", "taxel_threshold_spread"
+OF_FORCE = "taxel_saturates", "taxel_noise", "taxel_gain_spread", "taxel_drift"
+OF_BITS = "taxel_false_on", "taxel_stuck"
 T = TypeVar("T")
 
 
@@ -106,11 +100,11 @@ class SensorFile:
 
         What is unknown, or does nothing with its touch rule, is as usual.
         """
-        unused, usual = UNUSED.get(config.touch_rule, ()), _usual(config)
+        usual = _usual(config)
         known = {
             f"taxel_{name}": value
             for name, value in vars(self).items()
-            if f"taxel_{name}" in usual and value is not None and name not in unused
+            if f"taxel_{name}" in usual.keys() - config.idle() and value is not None
         }
         if self.delay is not None:  # control steps
             known["taxel_delay"] = round(self.delay / config.control_dt)
@@ -141,20 +135,10 @@ def load(name: str | Path) -> SensorFile:
             raise ValueError("table [sensor] is missing")
         file = validation.fill(_File, data)
         numbers = file.sensor
-        for field in ("release_N", "threshold_spread"):
-            if getattr(numbers, field) is not None and numbers.threshold_N is None:
-                raise ValueError(
-                    f"sensor.{field}: found without threshold_N, allowed with it"
-                )
-        if (numbers.release_N or 0.0) > (numbers.threshold_N or 0.0):
+        release, highest = numbers.release_N or 0.0, numbers.threshold_N or 0.0
+        if release > highest:
             raise ValueError(
-                f"sensor.release_N: found {numbers.release_N}, allowed up to threshold_N, "
-                f"{numbers.threshold_N}"
-            )
-        if (numbers.threshold_N or 0.0) > (numbers.saturates_N or math.inf):
-            raise ValueError(
-                f"sensor.threshold_N: found {numbers.threshold_N}, allowed up to saturates_N, "
-                f"{numbers.saturates_N}"
+                f"sensor.release_N: found {release}, allowed up to threshold_N, {highest}"
             )
     values: dict[str, Any] = {}
     for key, value in asdict(numbers).items():

@@ -326,12 +326,20 @@ class MujocoSimulator(Simulator):
         self, joint_positions: Array, object_position: Array, yaw: float
     ) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them
+        self.set_start(joint_positions, object_position, yaw)
+        mujoco.mj_forward(self.model, self.data)
+
+    def set_start(
+        self, joint_positions: Array, object_position: Array, yaw: float
+    ) -> None:
+        """Write what an episode begins with; what follows from it is not computed yet."""
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
-        turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
         held = joint_positions[self._actuated]
         hold(self.model, self.data, self._ctrl.tolist(), held)
-        self.place(joint_positions, object_position, turn)
+        self.data.qpos[self._qpos] = joint_positions
+        turn = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
+        self.data.qpos[self._object_qpos] = [*object_position, *turn]
 
     def place(
         self, joint_positions: Array, object_position: Array, orientation: Array

@@ -223,8 +223,6 @@ class PyBulletSimulator(Simulator):
         self, joint_positions: Array, object_position: Array, yaw: float
     ) -> None:
         bullet = self._bullet
-        if not bullet.isConnected():
-            raise OSError("PyBullet's client is gone: make the environment again")
         self.let_go()
         self._build()  # a world that has been stepped keeps pairs and contacts
         for index, position in zip(self._joints, joint_positions, strict=True):

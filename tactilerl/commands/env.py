@@ -105,8 +105,9 @@ def _sensor(scene: GraspConfig) -> dict[str, str]:
     if threshold and release is None:
         release = round(touch.RELEASE * threshold, 6)
     file = vars(sensors.load(scene.sensor))
-    idle = sensors.UNUSED.get(scene.touch_rule, ())
-    unused = ", ".join(name for name in idle if file[name] is not None) or "nothing"
+    known = {name for name, value in file.items() if value is not None}
+    idle = (name.removeprefix("taxel_") for name in scene.idle())
+    unused = ", ".join(name for name in idle if name in known) or "nothing"
     return {
         "sensor": f"{scene.sensor}; radius {scene.taxel_radius} m, threshold {threshold} N, release "
         f"{release} N, delay {scene.taxel_delay} control steps; unused by touch rule "

@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 
 from .. import algos
 from ..algos import batch as learners
@@ -296,7 +295,7 @@ class _Training:
         with input_errors():
             groups: Any = [(config.place[1], batch.worlds) for config in configs]
             hand, _ = configs[0].place
-            env = _Worlds(hand, groups, where, AutoresetMode.DISABLED)
+            env = _Worlds(hand, groups, where, autoreset=False)
             env.stop = stop
             held.callback(env.close)
             for i, config in enumerate(configs):

@@ -23,7 +23,6 @@ WRONG = [
     ({"object_seen": "noisy", "sight_noise": (1.2, 0.1)}, r"sight_noise: found 1.2, .* \[0, 1\]"),
     ({"object_seen": "noisy", "sight_noise": (0.01, 9.0)}, r"sight_noise: found 9.0, .* \[0, 3.14"),
     ({"taxel_false_on": 1.1}, r"taxel_false_on: found 1.1, allowed \[0, 1\]"),
-    ({"taxel_dead": 0.6, "taxel_stuck": 0.6}, "taxel_stuck: found 1.2 with taxel_dead"),
     ({"touch": "off", "taxel_dead": 0.1}, "taxel_dead: found 0.1, allowed only with touch"),
     ({"touch": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with touch on"),
     ({"touch_rule": "force", "taxel_stuck": 0.1}, "taxel_stuck: .* only with Boolean taxels"),
