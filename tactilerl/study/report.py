@@ -16,15 +16,14 @@ from typing import NamedTuple
 
 import jinja2
 
-from .. import statistics
-from ..files import make_folder, replacing, require_file
-from ..statistics import FEW_RUNS, Estimate, fewest_pairs
+from ..files import replacing
+from ..statistics import Estimate, fewest_pairs
 from . import figures
-from .analysis import Analysis, SetupResult
+from .analysis import ALPHA, Analysis, Pairs, SetupResult
 from .grid import Setup
-from .pairs import ALPHA, Verdict
 
 TEMPLATE = "report.html.j2"
+FEW_RUNS = 10  # of a group: docs/statistics.md
 MEANS = {
     "area": "mean success",
     "last": "success in the last fifth",
@@ -113,35 +112,34 @@ def provenance(analysis: Analysis) -> str:
     return f"{', '.join([counted, f'{hours / 3600:.2f} core-hours', *by])}."
 
 
-def answer(setup: Setup, verdict: Verdict, score: str) -> str:
-    """Return the primary comparison of a setting in a sentence, with its interval."""
-    pairs, p = verdict.pairs, verdict.p_holm
+def answer(setup: Setup, setting: str, pairs: Pairs, score: str) -> str:
+    """Return the comparison of a setting in a sentence, with its interval."""
     treatment, control = map(setup.label, setup.groups[:2])
     fewest = fewest_pairs(ALPHA / len(setup.settings))
-    if verdict.is_difference:
+    if pairs.p_holm <= ALPHA:
         verb = "raised" if pairs.difference.value > 0 else "lowered"
         result = f"{treatment} {verb} {MEANS[score]}"
     elif len(pairs) < fewest:
         result = f"too few runs to find a difference, which takes {fewest} pairs"
     else:
         result = f"no significant difference in {MEANS[score]}"
-    n_pairs = f"{len(pairs)} of {verdict.n_seeds} pairs"
+    n_pairs = f"{len(pairs)} of {len(setup.seeds)} pairs"
     if len(pairs) < 2:  # which have no interval
-        return f"{setup.name}, {verdict.setting}: {result} ({n_pairs})."
+        return f"{setup.name}, {setting}: {result} ({n_pairs})."
     value, low, high = (f"{x:+.2f}".replace("-", "−") for x in pairs.difference)
-    chance = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+    p = "p < 0.001" if pairs.p_holm < 0.001 else f"p = {pairs.p_holm:.3f}"
     return (
-        f"{setup.name}, {verdict.setting}: {result} ({treatment} − {control}: {value}, 95 % interval "
-        f"{low} to {high}, {chance}, {n_pairs})."
+        f"{setup.name}, {setting}: {result} ({treatment} − {control}: {value}, 95 % interval {low} to "
+        f"{high}, {p}, {n_pairs})."
     )
 
 
 def answers(analysis: Analysis) -> list[str]:
     """Return every comparison's answer."""
     return [
-        answer(result.setup, verdict, analysis.study.primary.score)
+        answer(result.setup, setting, pairs, analysis.study.score)
         for result in analysis.setups
-        for verdict in result.verdicts.values()
+        for setting, pairs in result.pairs.items()
     ]
 
 
@@ -157,8 +155,8 @@ def warnings(analysis: Analysis) -> list[str]:
     fewest = min((len(group.seeds) for group in groups), default=FEW_RUNS)
     if fewest < FEW_RUNS:
         notes.append(
-            f"The smallest group has {fewest} runs. Bands of learning curves of fewer than {FEW_RUNS} "
-            "runs are too narrow: they contain the truth less often than they say."
+            f"The smallest group has {fewest} runs. With fewer than {FEW_RUNS}, intervals contain the "
+            "truth less often than they say where some runs fail."
         )
     for one in analysis.setups:
         name = one.setup.name
@@ -185,11 +183,11 @@ def comparisons(result: SetupResult, score: str) -> Table:
     rows = [
         {
             "Setting": setting,
-            "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}",
-            MEANS[score].capitalize(): shown(verdict.pairs.difference, 3),
-            "p": p_value(verdict.p_holm),
+            "Pairs": f"{len(pairs)} of {len(result.setup.seeds)}",
+            MEANS[score].capitalize(): shown(pairs.difference, 3),
+            "p": p_value(pairs.p_holm),
         }
-        for setting, verdict in result.verdicts.items()
+        for setting, pairs in result.pairs.items()
     ]
     note = (
         f"Mean of {treatment} minus {control} in runs of the same seed, with a 95 % bootstrap interval "
@@ -204,12 +202,11 @@ def measures(result: SetupResult) -> Table:
     """Return the mean scores of each group, with intervals."""
     rows = []
     for (setting, name), group in result.groups.items():
-        means = {
-            MEANS[score].capitalize(): shown(statistics.mean(values, group.counts))
-            for score, values in group.scores.items()
-        }
         row = {"Setting": setting, "Group": result.setup.label(name)}
-        rows.append({**row, "Runs": str(len(group.seeds)), **means})
+        row["Runs"] = str(len(group.seeds))
+        for score, mean in group.means.items():
+            row[MEANS[score].capitalize()] = shown(mean)
+        rows.append(row)
     note = (
         "Mean of the runs with 95 % interval. Mean success: over the run; "
         "converged: the level where a run spends most of its epochs; tested: at its end, without "
@@ -251,9 +248,9 @@ def sections(analysis: Analysis) -> list[Section]:
     report: list[Section] = []
     for one in analysis.setups:
         name, parts = one.setup.name, list[Table | Picture]()
-        if one.verdicts:
-            parts.append(comparisons(one, analysis.study.primary.score))
         if one.groups:
+            if one.pairs:
+                parts.append(comparisons(one, analysis.study.score))
             image = figures.curves(one)
             parts.append(Picture(f"{name}_curves", figures.title(one), image))
             parts.append(measures(one))
@@ -276,7 +273,7 @@ def write(analysis: Analysis, folder: Path) -> Path:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["base64"] = lambda data: b64encode(data).decode()
-    score = analysis.study.primary.score
+    score = analysis.study.score
     html = environment.get_template(TEMPLATE).render(
         study=analysis.study,
         about=[about(result, score) for result in analysis.setups],
@@ -286,12 +283,8 @@ def write(analysis: Analysis, folder: Path) -> Path:
         sections=report,
     )
     files["report.html"] = html.encode()
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in ("tables", "figures"):
-        make_folder(folder / name)
-    for name in files:
-        require_file(folder / name)
     for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         with replacing(folder / name) as file:
             file.write(data)
     return folder / "report.html"
