@@ -121,7 +121,10 @@ DIRECTIVES = {  # as the manual of each has them
 @needs_jobqueue
 @pytest.mark.parametrize("on", BATCH)
 def test_the_job_script_of_each_batch_system(on):
-    with cluster(on, 2, "02:00:00", "3GB") as system:
+    import dask
+
+    time = {"lsf": "02:00", "htcondor": None}.get(on, "02:00:00")
+    with dask.config.set({"jobqueue.htcondor.disk": "1GB"}), cluster(on, 2, time, "3GB") as system:
         script = system.job_script()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     for line in DIRECTIVES[on]:
@@ -135,7 +138,6 @@ def test_the_job_script_of_each_batch_system(on):
     [
         (["--on", "moon"], ["'moon'", "slurm", "dask:ADDRESS"]),
         (["--on", "slurm"], ["--jobs N"]),
-        (["--on", "dask:tcp://x:1", "--jobs", "2"], ["--jobs"]),
         (["--walltime", "1:00:00"], ["--walltime", "slurm"]),
     ],
 )
@@ -146,6 +148,7 @@ def test_flags_that_do_not_fit(tmp_path, capsys, flags, words):
 @needs_jobqueue
 @pytest.mark.skipif(shutil.which("sbatch") is not None, reason="a machine with Slurm")
 def test_a_batch_system_that_is_not_here(tmp_path, capsys):
-    args = ["study", "run", write(tmp_path), "--on", "slurm", "--jobs", "1", "--out", tmp_path / "out"]
+    args = ["study", "run", write(tmp_path), "--out", tmp_path / "out"]
+    args += ["--on", "slurm", "--jobs", "1", "--memory", "3GB"]
     said = fails_with(capsys, args, "--on slurm", "sbatch")
     assert said.count("--on slurm") == 1
