@@ -25,7 +25,6 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs
     "hand": "write the file of a hand from its model, with a grasp",
     "study": "train many runs from one file and compare them in a report",
 }
-LONGEST = 600  # characters of an error's line: a path may have 5,000
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -44,9 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(nowhere, stream.fileno())
-    except Exception as error:
-        if module := _module_of(error):
-            _say("error", f"in the module {module}: {type(error).__name__}: {error}")
+    except Exception:
         traceback.print_exc()
         code = 1
     if code and "mpi4py" in sys.modules:
@@ -78,7 +75,8 @@ def _run(args: list[str]) -> int:
         if mpi.launched_rank() not in (None, "0"):
             time.sleep(1.0)  # mostly rank 0 has found the same, and ends the others
         _say("error", error)
-        if _module_of(error):
+        plugins = sys.modules.get("tactilerl.envs.plugins")
+        if plugins and plugins.module_of(error):  # of --import
             traceback.print_exception(error)
         return BUSY if isinstance(error, BusyError) else BAD_INPUT
     except BrokenPipeError:
@@ -103,12 +101,6 @@ def _call(name: str, args: list[str], modules: list[str]) -> int:
     return int(command.main(args))
 
 
-def _module_of(error: BaseException) -> str:
-    """Return the module of --import that an error comes from, or ""."""
-    plugins = sys.modules.get("tactilerl.envs.plugins")
-    return plugins.module_of(error) if plugins else ""
-
-
 def _help() -> None:
     """Print the list of commands."""
     about = [f"  {name:10}{text}" for name, text in COMMANDS.items()]
@@ -122,6 +114,4 @@ def _say(what: str, error: BaseException | str) -> None:
     parts = [f"{what}: {error}" if str(error) else what]
     parts += getattr(error, "__notes__", ())
     line = " ".join("; ".join(parts).split())
-    if len(line) > LONGEST:
-        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
     print(f"tactilerl: {line}", file=sys.stderr)

@@ -9,11 +9,10 @@ from ..algos import mpi
 from ..errors import InputError, input_errors
 from ..files import pasted
 from ..runs.config import RunConfig
-from ..runs.store import RunDir, resolve
+from ..runs.store import resolve
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph
-from ..terminal.epochs import learning_curve
 from .scene import SceneFlag, layout_notes, require_env, sensor_notes
 
 ABOUT = """\
@@ -57,11 +56,9 @@ def main(args: list[str]) -> int:
             notes += sensor_notes(config.run.env, config.scene)
     path = train(config, comm, _summary(config, usual, comm.size, notes))
     if comm.rank == 0:
-        curve = learning_curve(RunDir(path).rows())
-        lines = [f"\nLearning curve: {curve}"] if curve else [""]
-        lines += [
-            f"The run is in {path}: progress.csv (learning curve), checkpoint.pt, "
-            "config.json (all settings).",
+        lines = [
+            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json (all "
+            "settings).",
             f"  tactilerl evaluate {pasted(path)}{config.again}",
         ]
         if config.scene:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from ..algos.learner import Learner
@@ -21,8 +20,6 @@ FAULT_NOTES = {  # of a run that has had such faults
     "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
     "warnings": "the simulator warned {:.0f} times",
 }
-
-BLOCKS, CURVE_WIDTH = "▁▂▃▄▅▆▇█", 50  # of a learning curve: from 0 to 1, and characters
 
 
 class EpochLog:
@@ -88,18 +85,6 @@ class EpochLog:
                 steps = int(row["env_steps"])
                 self._events.add_scalar(f"train/{column}", number, steps)
         self._events.flush()
-
-
-def learning_curve(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the success rates of a progress table as a line of blocks, "" where it has none."""
-    rates = np.array([float(row.get("success_rate") or math.nan) for row in rows])
-    rates = rates[~np.isnan(rates)]
-    if not len(rates):
-        return ""
-    parts = np.array_split(rates, min(len(rates), CURVE_WIDTH))
-    means = [float(part.mean()) for part in parts]
-    blocks = "".join(BLOCKS[round(mean * (len(BLOCKS) - 1))] for mean in means)
-    return f"{blocks}  success {means[0]:.0%} to {means[-1]:.0%}"
 
 
 def _percent(value: float) -> str:
