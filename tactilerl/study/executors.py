@@ -13,7 +13,7 @@ from typing import Any
 
 from ..errors import InputError, extra
 from ..machine import free_cores
-from .jobs import threads
+from ..terminal import interrupts
 
 BATCH = {
     "slurm": "SLURM",
@@ -46,8 +46,11 @@ def start(
         raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
     if on in ("local", "gpu"):
         usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
-        with threads(jobs or usual) as pool:
-            yield pool
+        pool = concurrent.futures.ThreadPoolExecutor(jobs or usual)
+        try:
+            yield pool  # threads, which wait for the processes of their jobs
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
         return
     with extra("cluster"):
         from dask.distributed import Client
@@ -66,7 +69,7 @@ def start(
         raise InputError(f"--on {on}: {error}") from error
     # It would log tracebacks of what is said below in one line.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-    with client:
+    with client, interrupts.in_order():
         try:
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:

@@ -12,12 +12,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import filelock
 
@@ -26,22 +24,19 @@ from ..algos.mpi import Communicator
 from ..envs import layouts, plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
 from ..files import LOCK_WAIT
-from ..runs.config import RunConfig, from_dict
+from ..runs.config import RunConfig
+from ..runs.store import RunDir
 from ..runs.training import make_algorithm
-from ..terminal import interrupts
 from .grid import Run
-from .records import Record, StudyFiles
+from .records import StudyFiles
 
 ATTEMPTS = 2
-INTERRUPTED = 130
+INTERRUPTED = 130, -signal.SIGINT
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # The first thing that a run's process does: from then on it ends with its parent.
 BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
 BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
-
-_children: set[subprocess.Popen[bytes]] = set()
-_stopping = threading.Event()
 
 
 @dataclass(frozen=True)
@@ -78,9 +73,9 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
     tried = set()
     for run in runs:
         try:
-            config, record = run.config(), files.record(run)
-            if record.config:
-                _require_same(record, config, files.run_dir(run).layout_file)
+            config, run_dir = run.config(), files.run_dir(run)
+            if run_dir.config_file.exists():
+                _require_same(run_dir, run, config)
             elif run.place not in tried:
                 tried.add(run.place)
                 _try(run, config)
@@ -88,25 +83,23 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
             raise InputError(f"run {run.name}: {error}") from error
 
 
-def _require_same(record: Record, config: RunConfig, layout_copy: Path) -> None:
+def _require_same(run_dir: RunDir, run: Run, config: RunConfig) -> None:
     """Raise InputError where a run was made with other values or taxels, or would be cut."""
-    made, layout = from_dict(record.config), config.layout_file
-    steps, found = made.run.total_timesteps, config.run.total_timesteps
-    if found < steps or (found > steps and "total_timesteps" not in record.run.flags):
+    run_dir.settled(config)
+    made, found = run_dir.read_config().run.total_timesteps, config.run.total_timesteps
+    if found < made or (found > made and "total_timesteps" not in run.flags):
         raise InputError(
-            f"total_timesteps: found {found}, and {steps} in this run, which can only be made longer, "
-            "by the study file"
+            f"total_timesteps: found {found}, and {made} in this run, which can only be made longer, by "
+            "the study file"
         )
-    difference = made.difference(config.identity())
-    if not difference and layout and layout.is_file() and layout_copy.is_file():
+    layout, copy = config.layout_file, run_dir.layout_file
+    if layout and layout.is_file() and copy.is_file():
         with input_errors():
-            was, now = (layouts.load(str(file)) for file in (layout_copy, layout))
+            was, now = (layouts.load(str(file)) for file in (copy, layout))
         if (was.patches, was.taxels) != (now.patches, now.taxels):
-            difference = f"layout {layout}: found other taxels than when it began"
-    if difference:
-        raise InputError(
-            f"{difference}; give this study another --out, or move that folder away"
-        )
+            raise InputError(
+                f"layout {layout}: found other taxels than when this run began; put the old file back"
+            )
 
 
 def _try(run: Run, config: RunConfig) -> None:
@@ -164,7 +157,7 @@ def _train(files: StudyFiles, job: Job) -> None:
         begin = log.stat().st_size if log.exists() else 0
         code = _process(log, job)
         left = [run for run in job.runs if not files.record(run).has_ended]
-        if not left or code in (BUSY, INTERRUPTED):
+        if not left or code in (BUSY, *INTERRUPTED):
             return
         job = replace(job, runs=(*left,))
         if code in (0, BAD_INPUT):  # a second attempt mends none of these
@@ -180,7 +173,7 @@ def _process(log_file: Path, job: Job) -> int:
         beside = str(Path(sys.executable).with_name("mpirun"))
         command = [shutil.which("mpirun") or beside, "-n", str(job.ranks), *command]
     with open(log_file, "ab") as log:
-        child = subprocess.Popen(
+        done = subprocess.run(
             [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
             stdout=None if job.n_batches else log,
@@ -188,14 +181,7 @@ def _process(log_file: Path, job: Job) -> int:
             env=_environment(),
             cwd=job.cwd,
         )
-    _children.add(child)
-    if _stopping.is_set():  # since the last look
-        child.terminate()
-    try:
-        code = child.wait()
-    finally:
-        _children.discard(child)
-    return INTERRUPTED if _stopping.is_set() or code == -signal.SIGINT else code
+    return done.returncode
 
 
 def _environment() -> dict[str, str]:
@@ -218,29 +204,3 @@ def reason(code: int, log_file: Path, begin: int) -> str:
     ours = [line for line in lines if line.startswith("tactilerl: ")]
     last = [*lines, *ours][-1].removeprefix("tactilerl: ")
     return f"{last[:300]} (exit code {code})"
-
-
-@contextmanager
-def threads(n: int) -> Iterator[concurrent.futures.Executor]:
-    """Start `n` jobs at a time on this machine: a job waits for its process, so threads do.
-
-    Ctrl-C ends the runs in order, and so does SIGTERM, which batch systems send before they kill.
-    """
-
-    def interrupt(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        with concurrent.futures.ThreadPoolExecutor(n) as pool, interrupts.in_order():
-            try:
-                yield pool
-            except BaseException:  # end the runs' processes; each keeps its last epoch
-                _stopping.set()
-                pool.shutdown(wait=False, cancel_futures=True)
-                for child in list(_children):
-                    child.terminate()
-                raise
-    finally:
-        _stopping.clear()
-        signal.signal(signal.SIGTERM, before)
