@@ -116,12 +116,10 @@ def mean(samples: Array, counts: Array) -> Estimate:
 def mean_curve(curves: Array, counts: Array) -> tuple[Array, Array]:
     """Return the mean over the runs at every point, with pointwise expanded intervals.
 
-    (runs, points), counts (runs, n_resamples) → (points,), (points, 2). Points at which the runs'
-    scores are the same are computed once.
+    (runs, points), counts (runs, n_resamples) → (points,), (points, 2).
     """
-    distinct, place = np.unique(curves, axis=1, return_inverse=True)
-    intervals = np.array([mean(point, counts)[1:] for point in distinct.T])
-    return curves.mean(axis=0), intervals[place.ravel()]
+    intervals = [mean(point, counts)[1:] for point in curves.T]
+    return curves.mean(axis=0), np.array(intervals)
 
 
 def sign_flip_p(

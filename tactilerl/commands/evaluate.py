@@ -15,7 +15,7 @@ from rich.table import Table
 
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
-from ..envs import sensors, validation
+from ..envs import sensors
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
@@ -68,30 +68,23 @@ class EvaluateFlags:
 
 def main(args: list[str]) -> int:
     """Run `tactilerl evaluate RUN`."""
-    prog = "tactilerl evaluate"
-    read = flags.parse(EvaluateFlags, args, prog, ABOUT)
+    read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
     command: _CommandFlags = read.command
     trained = policies.read_run(command.run)
     run, scene = trained.config, trained.config.scene
     changed: dict[str, Any] = {}
     if scene is not None:
-        touch = command.touch or scene.touch
-        if scene.touch == "absent" and command.touch:  # inputs that it never had
-            raise InputError(
-                f"touch: found {touch}, allowed absent, as the run was trained"
-            )
-        deciding: dict[str, Any] = {"touch": touch}
-        if flags.several(args, "--sensor")[0]:  # "" takes the run's away
-            deciding["sensor"] = read.sensors.sensor
+        chosen = flags.given(read.sensors, args)
+        if command.touch:
+            chosen["touch"] = command.touch
+            if scene.touch == "absent":  # inputs that it never had
+                raise InputError(
+                    f"touch: found {command.touch}, allowed absent, as the run was trained"
+                )
         with input_errors():
-            known = sensors.choose(scene, deciding)
-        names = validation.names(SensorConfig)
-        usual = SensorConfig(**{name: getattr(known, name) for name in names})
-        default = EvaluateFlags(command, usual)  # known only now
-        given = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
-        chosen = {**vars(given), "touch": touch}
-        changed = {k: v for k, v in chosen.items() if v != getattr(scene, k)}
-        run = dataclasses.replace(run, scene=dataclasses.replace(scene, **changed))
+            now = sensors.choose(scene, chosen)
+        changed = {k: v for k, v in vars(now).items() if v != getattr(scene, k)}
+        run = dataclasses.replace(run, scene=now)
     elif command.touch or read.sensors != SensorConfig():
         raise InputError(
             f"sensors: found with a run on {run.run.env!r}, which has no hand"

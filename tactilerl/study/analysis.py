@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from .. import statistics
 from ..runs.config import FINAL_TEST
 from ..statistics import N_RESAMPLES, Array, Estimate
 from ..style import NAMES
-from .grid import Setup, Study
+from .grid import Score, Setup, Study
 from .records import Record
 
 SEED = 20_210_830  # of all resampling: the same records give the same report
 ALPHA = 0.05
-MAX_POINTS = 500  # of a curve
+N_POINTS = 200  # of a curve
 BySeed = dict[int, float]
 """A score by seed."""
 
@@ -71,13 +71,11 @@ def scores(record: Record, first: float, last: float) -> dict[str, float]:
 def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     """Return a score of each run that has it, of several groups, over the steps that all have."""
     common = span(itertools.chain(*groups))
-    reached = [
-        {one.run.seed: scores(one, *common)[score] for one in group} for group in groups
-    ]
-    return [
-        {seed: value for seed, value in one.items() if not math.isnan(value)}
-        for one in reached
-    ]
+    by_group = []
+    for group in groups:
+        reached = {one.run.seed: scores(one, *common)[score] for one in group}
+        by_group.append({k: x for k, x in reached.items() if not math.isnan(x)})
+    return by_group
 
 
 # -- pairs -----------------------------------------------------------------------------------
@@ -151,17 +149,16 @@ def judge(
 class Group:
     """The finished runs of one setting that share a value of the compared flag."""
 
-    seeds: list[int]
+    reached: dict[int, dict[str, float]]
+    """What each run reached, as `scores` has it, by its seed."""
     curves: Array
     """Success rates (runs, points) at the set-up's common steps."""
     mean_curve: Array
     """Their mean (points,)."""
     bounds: Array
     """Its pointwise intervals (points, 2)."""
-    scores: dict[str, Array]
-    """Each score of `scores` (runs,), by its name."""
     means: dict[str, Estimate]
-    """Their means, with intervals."""
+    """Means of the scores over the runs, with intervals."""
 
 
 @dataclass(frozen=True)
@@ -219,11 +216,8 @@ def _setup(
     rng: np.random.Generator,
     n_resamples: int,
 ) -> SetupResult:
-    finished = [record for record in records if record.is_finished]
-    first, last = span(finished)
-    longest = max((len(record.curve[0]) for record in finished), default=0)
-    n_points = min(longest, MAX_POINTS if first < last else 1)
-    steps = np.linspace(last, first, n_points)[::-1]
+    first, last = span(record for record in records if record.is_finished)
+    steps = np.linspace(min(first, last), last, N_POINTS)
     groups = {}
     for setting in setup.settings:
         runs = {name: runs_of(records, setup, setting, name) for name in setup.groups}
@@ -240,8 +234,11 @@ def _group(
     runs: list[Record], steps: Array, common: tuple[float, float], counts: Array
 ) -> Group:
     curves = np.array([np.interp(steps, *record.curve) for record in runs])
-    reached = [scores(record, *common) for record in runs]
-    by_score = {name: np.array([one[name] for one in reached]) for name in reached[0]}
-    means = {name: statistics.mean(each, counts) for name, each in by_score.items()}
-    seeds = [record.run.seed for record in runs]
-    return Group(seeds, curves, *statistics.mean_curve(curves, counts), by_score, means)
+    reached = {record.run.seed: scores(record, *common) for record in runs}
+    means = {
+        score: statistics.mean(
+            np.array([one[score] for one in reached.values()]), counts
+        )
+        for score in get_args(Score)
+    }
+    return Group(reached, curves, *statistics.mean_curve(curves, counts), means)

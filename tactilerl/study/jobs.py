@@ -75,7 +75,7 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
         try:
             config, run_dir = run.config(), files.run_dir(run)
             if run_dir.config_file.exists():
-                _require_same(run_dir, run, config)
+                _require_same(run_dir, config)
             elif run.place not in tried:
                 tried.add(run.place)
                 _try(run, config)
@@ -83,22 +83,16 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
             raise InputError(f"run {run.name}: {error}") from error
 
 
-def _require_same(run_dir: RunDir, run: Run, config: RunConfig) -> None:
-    """Raise InputError where a run was made with other values or taxels, or would be cut."""
+def _require_same(run_dir: RunDir, config: RunConfig) -> None:
+    """Raise InputError where a run was made with other values or taxels."""
     run_dir.settled(config)
-    made, found = run_dir.read_config().run.total_timesteps, config.run.total_timesteps
-    if found < made or (found > made and "total_timesteps" not in run.flags):
-        raise InputError(
-            f"total_timesteps: found {found}, and {made} in this run, which can only be made longer, by "
-            "the study file"
-        )
     layout, copy = config.layout_file, run_dir.layout_file
     if layout and layout.is_file() and copy.is_file():
         with input_errors():
             was, now = (layouts.load(str(file)) for file in (copy, layout))
         if (was.patches, was.taxels) != (now.patches, now.taxels):
             raise InputError(
-                f"layout {layout}: found other taxels than when this run began; put the old file back"
+                f"layout {layout}: found other taxels than when this run began"
             )
 
 
@@ -121,16 +115,8 @@ def run_all(
     """Make runs done, in order; `on_end` is told each run that ended, whatever became of it."""
     waiting = {pool.submit(make_done, job): job for job in jobs}
     for future in concurrent.futures.as_completed(waiting):
-        job = waiting[future]
-        try:
-            future.result()
-        except Exception as error:
-            if type(error).__name__ != "KilledWorker":  # Dask's
-                raise
-            for run in job.runs:
-                reason = f"it ended several workers ({error})"
-                StudyFiles(job.folder).write_failure(run, reason)
-        for run in job.runs:
+        future.result()
+        for run in waiting[future].runs:
             on_end(run)
 
 

@@ -62,12 +62,6 @@ class Record:
         return steps[known], rates[known]
 
     @property
-    def diverged(self) -> int:
-        """The number of episodes that diverged."""
-        columns = self.column("diverged"), self.column("test_diverged")
-        return int(sum(map(np.nansum, columns)))
-
-    @property
     def is_finished(self) -> bool:
         """True if the run is done and has a curve."""
         return self.state == "done" and len(self.curve[0]) > 0

@@ -10,7 +10,6 @@ import io
 import math
 from base64 import b64encode
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,8 +32,7 @@ MEANS = {
 """Scores as sentences have them."""
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table of texts."""
 
     name: str
@@ -60,6 +58,11 @@ class Picture(NamedTuple):
     title: str
     svg: bytes
 
+    @property
+    def url(self) -> str:
+        """The figure itself, as a page has it inside."""
+        return f"data:image/svg+xml;base64,{b64encode(self.svg).decode()}"
+
 
 Section = tuple[str, str, list[Table | Picture]]
 """The place of a section in the page, its heading, and what is below it."""
@@ -82,20 +85,6 @@ def p_value(value: float) -> str:
 
 
 # -- sentences -------------------------------------------------------------------------------
-
-
-def about(result: SetupResult, score: str) -> str:
-    """Return what was compared, in a sentence or two."""
-    setup, run = result.setup, result.config.get("run", {})
-    length = f", {run['total_timesteps']:,} steps a run" if run else ""
-    sentence = f"{setup.name}: {result.subject}{length}."
-    if setup.compare is None:
-        return sentence
-    treatment, control = map(setup.label, setup.groups[:2])
-    return (
-        f"{sentence} Compares {treatment} with {control}, in pairs of runs with the same seed, by "
-        f"{MEANS[score]} ({setup.measure})."
-    )
 
 
 def provenance(analysis: Analysis) -> str:
@@ -152,7 +141,7 @@ def warnings(analysis: Analysis) -> list[str]:
         n_runs = len(analysis.records)
         notes.append(f"Of {n_runs} runs {', '.join(missing)}: they are in no figure.")
     groups = [group for one in analysis.setups for group in one.groups.values()]
-    fewest = min((len(group.seeds) for group in groups), default=FEW_RUNS)
+    fewest = min((len(group.reached) for group in groups), default=FEW_RUNS)
     if fewest < FEW_RUNS:
         notes.append(
             f"The smallest group has {fewest} runs. With fewer than {FEW_RUNS}, intervals contain the "
@@ -168,9 +157,6 @@ def warnings(analysis: Analysis) -> list[str]:
             notes.append(
                 f"{name}: versions or commits differ between runs, and could change results."
             )
-    diverged = sum(record.diverged > 0 for record in analysis.records)
-    if diverged:
-        notes.append(f"Episodes diverged in some runs ({diverged}): see Runs.")
     return notes
 
 
@@ -203,7 +189,7 @@ def measures(result: SetupResult) -> Table:
     rows = []
     for (setting, name), group in result.groups.items():
         row = {"Setting": setting, "Group": result.setup.label(name)}
-        row["Runs"] = str(len(group.seeds))
+        row["Runs"] = str(len(group.reached))
         for score, mean in group.means.items():
             row[MEANS[score].capitalize()] = shown(mean)
         rows.append(row)
@@ -217,25 +203,16 @@ def measures(result: SetupResult) -> Table:
 
 
 def runs(analysis: Analysis) -> Table:
-    """Return every run: its seed, how it ended and what it reached."""
+    """Return every run: its name, how it ended and what it reached."""
     rows = []
     for one in analysis.setups:
         for record in one.records:
             run, group = record.run, one.groups.get(record.run.place[1:])
-            row = {
-                "Set-up": run.setup,
-                "Setting": run.setting,
-                "Group": one.setup.label(run.group),
-                "Seed": str(run.seed),
-                "State": record.state,
-                "Steps": record.rows[-1]["env_steps"] if record.rows else "0",
-            }
+            steps = record.rows[-1]["env_steps"] if record.rows else "0"
+            row = {"Run": run.name, "State": record.state, "Steps": steps}
+            reached = group.reached.get(run.seed, {}) if group else {}
             for score, mean in MEANS.items():
-                known = (
-                    zip(group.seeds, group.scores[score], strict=True) if group else ()
-                )
-                row[mean.capitalize()] = number(dict(known).get(run.seed, math.nan))
-            row["Diverged episodes"] = str(record.diverged)
+                row[mean.capitalize()] = number(reached.get(score, math.nan))
             rows.append({**row, "Why it failed": record.reason})
     return Table("runs", "Every run", rows)
 
@@ -268,15 +245,10 @@ def write(analysis: Analysis, folder: Path) -> Path:
             else:
                 files[f"figures/{part.name}.svg"] = part.svg
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("tactilerl.study", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
+        loader=jinja2.PackageLoader("tactilerl.study", "."), autoescape=True
     )
-    environment.filters["base64"] = lambda data: b64encode(data).decode()
-    score = analysis.study.score
     html = environment.get_template(TEMPLATE).render(
         study=analysis.study,
-        about=[about(result, score) for result in analysis.setups],
         provenance=provenance(analysis),
         answers=answers(analysis),
         warnings=warnings(analysis),

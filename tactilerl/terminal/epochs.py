@@ -16,12 +16,6 @@ from ..algos.rollout import FAULTS
 from ..errors import extra
 from .console import about
 
-FAULT_NOTES = {  # of a run that has had such faults
-    "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
-    "warnings": "the simulator warned {:.0f} times",
-}
-
-
 class EpochLog:
     """Print a line for each epoch; write TensorBoard events to a folder when given one."""
 
@@ -41,7 +35,6 @@ class EpochLog:
         )
         self.total, self._first_step = learner.total_timesteps, learner.env_steps
         self._started = time.perf_counter()
-        self._faults = dict.fromkeys(FAULTS, 0.0)
         self._events: Any = None
         if events is not None and comm.rank == 0:
             # Events of another process are hidden: its last ones may be missing.
@@ -52,17 +45,12 @@ class EpochLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the events, and print how often something went wrong."""
+        """Close the events."""
         if self._events is not None:
             self._events.close()
-        for fault, times in self._faults.items():
-            if times:
-                self.console.print(f"warning: {FAULT_NOTES[fault].format(times)}")
 
     def epoch(self, row: Mapping[str, Any]) -> None:
         """Print one row of the progress table."""
-        for fault in self._faults:
-            self._faults[fault] += row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0)
         steps, text = row["env_steps"], f"success {_percent(row['success_rate'])}  "
         if "test_success_rate" in row:
             text += f"test {_percent(row['test_success_rate'])}  "
@@ -71,6 +59,9 @@ class EpochLog:
         spent = time.perf_counter() - self._started
         left = spent * max(0, self.total - steps) / (steps - self._first_step)
         text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s  "
+        for fault in FAULTS:
+            if times := row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0):
+                text += f"{fault} {times:.0f}  "
         done = f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}"
         self.console.print(f"{done}  {text}{about(left)} left")
         self.write_events(row)

@@ -69,8 +69,6 @@ class TestRun:
         ("old", "new", "words"),
         [
             ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
-            ("total_timesteps = 200", "total_timesteps = 100", "found 100, and 200 in this run"),
-            ("total_timesteps = 200", "", ", and 200 in this run, which can only be made longer"),
             ('"tiny"', '"other"', "holds tiny, not the study 'other'"),
         ],
     )
