@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import platform
@@ -21,8 +20,6 @@ from .errors import BusyError, InputError
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LOCK_WAIT = 2.0  # s; who only looks at a lock has it for an instant
 LEFTOVER = ".tmp"  # ends the name of what a process left that was killed while it wrote
-# Not the fault of who named the file.
-DISK_ERRORS = errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG
 
 
 @contextmanager
@@ -139,12 +136,12 @@ def locked(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def writable(path: Path) -> Iterator[None]:
-    """Raise InputError where a place cannot be written to; a full disk stays an OSError."""
+    """Raise InputError where a place cannot be written to."""
     try:
         yield
+    except filelock.Timeout:
+        raise
     except OSError as error:
-        if error.errno in (None, *DISK_ERRORS):  # None: of a lock that another holds
-            raise
         raise InputError(f"cannot write {str(path)!r}: {error.strerror}") from error
 
 

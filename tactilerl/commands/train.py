@@ -5,7 +5,11 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import gymnasium as gym
+
 from ..algos import mpi
+from ..envs import TOYS, hands
+from ..envs.validation import nearest
 from ..errors import InputError, input_errors
 from ..files import pasted
 from ..runs.config import RunConfig
@@ -13,7 +17,7 @@ from ..runs.store import resolve
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph
-from .scene import SceneFlag, layout_notes, require_env, sensor_notes
+from .scene import SceneFlag, layout_notes, require_hand, sensor_notes
 
 ABOUT = """\
 Train a policy. --scene, --algo, --env and --recipe decide which other flags exist, and their
@@ -42,8 +46,8 @@ def main(args: list[str]) -> int:
     given = flags.peek(args, "algo", "env", "recipe", "scene", "resume", "out")
     if given.pop("out") and given["resume"]:
         raise InputError("out: found with --resume; a resumed run stays in its folder")
-    if given["env"]:
-        require_env(given["env"], given["scene"])
+    if nearest(given["env"], hands.HANDS):  # its flags would all be unknown
+        require_hand(given["env"], *TOYS, *gym.registry)
     usual = resolve(**given)
     parts = {"start": TrainFlags(), **usual.parts}
     read = vars(flags.parse_parts(parts, args, "tactilerl train", ABOUT))

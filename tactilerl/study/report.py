@@ -88,17 +88,12 @@ def p_value(value: float) -> str:
 
 
 def provenance(analysis: Analysis) -> str:
-    """Return how many runs are done, how long they took, and of which commits they are."""
+    """Return how many runs are done, and how long they took."""
     done = [record for record in analysis.records if record.state == "done"]
-    commits = Counter(
-        str(record.config["provenance"][-1].get("commit"))
-        for record in done
-        if record.config.get("provenance")
+    hours = sum(one.seconds * one.config.get("ranks", 1) for one in done) / 3600
+    return (
+        f"{len(done)} of {len(analysis.records)} runs are done, {hours:.2f} core-hours."
     )
-    hours = sum(record.seconds * record.config.get("ranks", 1) for record in done)
-    by = [f"{n} of commit {commit}" for commit, n in commits.most_common()]
-    counted = f"{len(done)} of {len(analysis.records)} runs are done"
-    return f"{', '.join([counted, f'{hours / 3600:.2f} core-hours', *by])}."
 
 
 def answer(setup: Setup, setting: str, pairs: Pairs, score: str) -> str:

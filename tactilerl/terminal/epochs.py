@@ -16,6 +16,7 @@ from ..algos.rollout import FAULTS
 from ..errors import extra
 from .console import about
 
+
 class EpochLog:
     """Print a line for each epoch; write TensorBoard events to a folder when given one."""
 
