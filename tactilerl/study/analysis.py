@@ -126,22 +126,6 @@ def both_groups(
     return scored(score, *groups)
 
 
-def judge(
-    setup: Setup, records: Sequence[Record], score: str, n_resamples: int = N_RESAMPLES
-) -> dict[str, Pairs]:
-    """Return the comparison of every setting, by a score."""
-    settings = setup.settings if setup.compare else []
-    pairs = [
-        in_pairs(both_groups(records, setup, setting, score), n_resamples)
-        for setting in settings
-    ]
-    corrected = statistics.holm([one.p_value for one in pairs])
-    return {
-        setting: replace(one, p_holm=float(p))
-        for setting, one, p in zip(settings, pairs, corrected, strict=True)
-    }
-
-
 # -- a whole study ---------------------------------------------------------------------------
 
 
@@ -218,7 +202,7 @@ def _setup(
 ) -> SetupResult:
     first, last = span(record for record in records if record.is_finished)
     steps = np.linspace(min(first, last), last, N_POINTS)
-    groups = {}
+    groups, pairs = {}, dict[str, Pairs]()
     for setting in setup.settings:
         runs = {name: runs_of(records, setup, setting, name) for name in setup.groups}
         common = span(itertools.chain(*runs.values()))
@@ -226,7 +210,12 @@ def _setup(
             if its_runs:
                 counts = statistics.resample(rng, len(its_runs), n_resamples)
                 groups[setting, name] = _group(its_runs, steps, common, counts)
-    pairs = judge(setup, records, score, n_resamples)
+        if setup.compare:
+            treatment, control, *_ = runs.values()
+            pairs[setting] = in_pairs(scored(score, treatment, control), n_resamples)
+    corrected = statistics.holm([one.p_value for one in pairs.values()])
+    for setting, p in zip(pairs, corrected, strict=True):
+        pairs[setting] = replace(pairs[setting], p_holm=float(p))
     return SetupResult(setup, steps, groups, pairs, records)
 
 
