@@ -64,10 +64,11 @@ def area_under_curve(steps: Array, rates: Array) -> float:
 
 def resample(rng: np.random.Generator, n: int, n_resamples: int = N_RESAMPLES) -> Array:
     """Draw how often each of `n` samples is in each bootstrap resample; (n, n_resamples)."""
-    drawn = rng.integers(n, size=(n_resamples, n))
-    drawn += n * np.arange(n_resamples)[:, None]
-    counts = np.bincount(drawn.ravel(), minlength=drawn.size).reshape(drawn.shape)
-    return counts.T.astype(np.uint8, order="C")  # none is drawn 256 times
+    counts = np.empty((n_resamples, n), np.uint8)  # none is drawn 256 times
+    for part in np.array_split(counts, 1 + counts.size // 2**20):  # to save memory
+        drawn = rng.integers(n, size=part.shape) + n * np.arange(len(part))[:, None]
+        part[:] = np.bincount(drawn.ravel(), minlength=part.size).reshape(part.shape)
+    return np.ascontiguousarray(counts.T)
 
 
 def percentile_interval(

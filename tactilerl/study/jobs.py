@@ -23,7 +23,6 @@ from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..envs import layouts, plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
-from ..files import LOCK_WAIT
 from ..runs.config import RunConfig
 from ..runs.store import RunDir
 from ..runs.training import make_algorithm
@@ -31,6 +30,7 @@ from .grid import Run
 from .records import StudyFiles
 
 ATTEMPTS = 2
+LOCK_WAIT = 0.5  # s; who only looks at a lock has it for an instant
 INTERRUPTED = 130, -signal.SIGINT
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -172,13 +172,12 @@ def _process(log_file: Path, job: Job) -> int:
 
 def _environment() -> dict[str, str]:
     """Return the environment of a run: one thread, and no rank of the launch that started the study."""
-    inherited = {
+    kept = {
         name: value
         for name, value in os.environ.items()
-        if name.startswith("OMPI_ALLOW_RUN_AS_ROOT")
-        or not name.startswith(LAUNCHER_PREFIXES)
+        if not name.startswith(LAUNCHER_PREFIXES) or "ALLOW_RUN_AS_ROOT" in name
     }
-    return inherited | dict.fromkeys(THREADS, "1")
+    return kept | dict.fromkeys(THREADS, "1")
 
 
 def reason(code: int, log_file: Path, begin: int) -> str:

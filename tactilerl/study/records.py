@@ -135,7 +135,7 @@ class StudyFiles:
             state, failure = "done", ""
         elif failure:
             state = "failed"
-        elif self._packed is None and self._is_running(run):
+        elif self._is_running(run):
             state = "running"
         return Record(run, state, failure or problem, config, rows)
 
