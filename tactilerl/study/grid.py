@@ -33,7 +33,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ..envs import plugins, validation
+from ..envs import validation
 from ..envs.validation import require_known, require_one_of
 from ..errors import input_errors
 from ..files import require_name
@@ -43,7 +43,7 @@ from ..style import ROLES
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "score", "compare", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
-SEED, IMPORT = "seed", "import"
+SEED = "seed"
 RESERVED_FLAGS = {SEED, "out", "workers"}
 N_TEST_EPISODES = 200  # at the end of a run, where the study does not say how many
 
@@ -81,19 +81,13 @@ class Run:
         return self.setup, self.setting, self.group
 
     def config(self) -> RunConfig:
-        """Return the configuration of the run; raise InputError naming what is wrong with it.
-
-        Imports the modules that it names.
-        """
+        """Return the configuration of the run; raise InputError naming what is wrong with it."""
         return self._config
 
     @cached_property
     def _config(self) -> RunConfig:
-        flags = dict(self.flags)
-        with input_errors():
-            plugins.import_modules(_as_list(flags.pop(IMPORT, [])))
         usual = {"n_test_episodes": N_TEST_EPISODES}
-        return configure({**usual, **flags, SEED: self.seed, "workers": 1})
+        return configure({**usual, **self.flags, SEED: self.seed, "workers": 1})
 
 
 @dataclass(frozen=True)
