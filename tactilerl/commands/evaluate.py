@@ -129,10 +129,7 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
 
 def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
     """Return a table of how good a policy is, headed by its run and sensors."""
-    changed = [
-        f"{k.replace('_', '-')} {'none' if v == '' else v}"
-        for k, v in about.get("sensors", {}).items()
-    ]
+    changed = [f"{name} {value}" for name, value in about.get("sensors", {}).items()]
     title = ", ".join([about["run"], f"epoch {about['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.
     noise = "without exploration noise; --stochastic plays with it"

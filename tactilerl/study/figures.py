@@ -9,7 +9,7 @@ from typing import Any, Literal
 import matplotlib
 from matplotlib.figure import Figure
 
-from ..style import DPI, GROUPS, HEAD, MORE_COLOURS, ROLES, STYLE
+from ..style import DPI, GROUPS, MORE_COLOURS, ROLES, STYLE
 from .analysis import SetupResult
 from .grid import Setup
 
@@ -38,7 +38,7 @@ def colours(setup: Setup) -> dict[str, str]:
 def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
     """Draw a panel per setting, as the paper's Figures 3 and 5: mean with interval, and every run.
 
-    A PNG has its title; an SVG stands below it in the report. The same records give the same bytes.
+    The same records give the same bytes.
     """
     setup, steps = result.setup, result.steps
     settings = list(dict.fromkeys(setting for setting, _ in result.groups))
@@ -63,8 +63,6 @@ def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
     for name, colour in by_group.items():
         panels[0].plot([], [], color=colour, lw=2.2, label=f"{setup.label(name)}, mean")
     figure.legend(loc="outside lower center", fontsize=8, ncols=2 * columns)
-    if kind == "png":
-        figure.suptitle(title(result), **HEAD)
     file, volatile = io.BytesIO(), "Date" if kind == "svg" else "Software"
     figure.savefig(file, format=kind, dpi=DPI, metadata={volatile: None})
     return file.getvalue()

@@ -233,7 +233,7 @@ def descendants(pid):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
 def test_however_a_study_ends_all_ranks_of_a_run_end_and_it_can_go_on(tmp_path, one_launch, how):
     study = write(tmp_path, TINY.replace("= 200", "= 100_000_000"))
     command = ["study", "run", study, "--out", tmp_path / "out", "--jobs", "1", "--ranks-per-run", "2"]
