@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Union
 
 import tyro
 from rich.table import Table
@@ -119,10 +119,8 @@ class Train:
     """Folder of the study."""
     run: tyro.conf.Positional[tuple[str, ...]]
     """Name of the run, or names of all runs of batches."""
-    on: Literal["local", "gpu"] = "local"
-    """gpu: train them as batches (extra: gpu)."""
-    jobs: Annotated[int, "[1, inf)"] = executors.SIDE_BY_SIDE
-    """Batches that are trained side by side, with --on gpu."""
+    batches: Annotated[int, "[0, inf)"] = 0
+    """Batches that are trained side by side on a GPU (extra: gpu); 0: the runs one by one."""
 
     def __call__(self) -> int:
         """Run `tactilerl study train FOLDER RUN`."""
@@ -134,8 +132,8 @@ class Train:
         for name in self.run:
             if name not in runs:
                 raise InputError(f"{self.folder}: found no run {name!r} in it")
-        if self.on == "gpu":
-            return batch.train(files, [runs[name] for name in self.run], self.jobs)
+        if self.batches:
+            return batch.train(files, [runs[name] for name in self.run], self.batches)
         for name in self.run:
             out = {"out": str(files.run_dir(runs[name]).path)}
             train(runs[name].config().choose(out), mpi.world(), f"study train: {name}")

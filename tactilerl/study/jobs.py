@@ -60,8 +60,7 @@ class Job:
         """The arguments of `tactilerl` that train it, or go on where it was cut off."""
         names = [run.name for run in self.runs]
         flags = [f"--import={module}" for module in self.imports]
-        if self.n_batches:
-            flags += ["--on", "gpu", "--jobs", str(self.n_batches)]
+        flags.append(f"--batches={self.n_batches}")
         return ["study", "train", str(self.folder), *names, *flags]
 
 
