@@ -67,4 +67,5 @@ print(
 )
 
 # %% Act: for one observation, or for many at once
-print(ppo.act([0.5, 0.0]), ppo.act([[0.5, 0.0], [-0.5, 0.0]]).shape)
+policy = ppo.policy()
+print(policy.act([0.5, 0.0]), policy.act([[0.5, 0.0], [-0.5, 0.0]]).shape)

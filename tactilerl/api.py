@@ -13,8 +13,6 @@ print(tactilerl.evaluate(policy, env, episodes=20))
 from __future__ import annotations
 
 import copy
-import os
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
@@ -22,7 +20,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
-import numpy as np
 import torch
 
 from . import envs
@@ -32,8 +29,7 @@ from .algos.policy import Policy, Spaces
 from .envs import validation, vector
 from .envs.layouts import Layout
 from .envs.validation import require_known
-from .files import require_path
-from .machine import WorkerCount, free_cores
+from .machine import free_cores
 from .runs import evaluation, policies, training
 from .runs.config import RunOptions
 from .runs.store import resolve
@@ -42,7 +38,7 @@ from .terminal.epochs import EpochLog
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
 """An environment, which the caller closes; or an id, or a function that makes one."""
 NEEDS = (
-    'a script that plays in processes needs `if __name__ == "__main__":`, and a function that '
+    '; a script that plays in processes needs `if __name__ == "__main__":`, and a function that '
     "makes environments above it, with a name; or give workers=1"
 )
 Callback = Callable[[dict[str, Any]], Any]
@@ -86,12 +82,11 @@ class Learner:
         self._run = validation.replace(RunOptions(algo=self.algo), options)
         validation.require(RunOptions, vars(self._run))
         validation.validate(self.config)
-        self._comm, self._epoch, self._process = Communicator(), 0, os.getpid()
+        self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers)
         with _one_thread():  # a thread that is started inside has one too
             started = training.start_learner(self._run, self.config, start, self._comm)
         self._learner, self._workers = started
-        self._lock = threading.Lock()
 
     @property
     def env_steps(self) -> int:
@@ -116,64 +111,29 @@ class Learner:
         the learning by returning False. `tensorboard` is a folder for events of the same columns.
 
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
-        parameter is no longer finite, and ValueError when the learner cannot use the rewards, or
-        learns already: in another thread, or where `callback` was called from.
+        parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        if not (callback is None or callable(callback)):
-            raise ValueError(f"callback: found {callback!r}, allowed a function")
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.require(RunOptions, vars(run))
-        # Its workers are in the process that made it, and it would wait for them.
-        if os.getpid() != self._process:
-            raise ValueError(
-                "learn: found a process that was forked from the one that made this learner, "
-                "allowed the same one; make a learner here"
-            )
-        if not self._lock.acquire(blocking=False):
-            raise ValueError(
-                "learn: found this learner learning already, allowed once at a time"
-            )
         learner = self._learner
+        learner.total_timesteps = learner.env_steps + run.total_timesteps
         events = None if tensorboard is None else Path(tensorboard)
-        try:
-            learner.total_timesteps = learner.env_steps + run.total_timesteps
-            with _one_thread():
-                if not self._epoch:
-                    learner.check()
-                comm, is_quiet = self._comm, not progress
-                with EpochLog(learner, comm, events, is_quiet) as log:
-                    for row in training.epochs(learner, self._epoch):
-                        self._epoch = row["epoch"]
-                        log.epoch(row)
-                        if callback is not None and callback(row) is False:
-                            break
-        finally:
-            self._lock.release()
+        with (
+            _one_thread(),
+            EpochLog(learner, self._comm, events, is_quiet=not progress) as log,
+        ):
+            if not self._epoch:
+                learner.check()
+            for row in training.epochs(learner, self._epoch):
+                self._epoch = row["epoch"]
+                log.epoch(row)
+                if callback is not None and callback(row) is False:
+                    break
         return self
 
     def policy(self) -> Policy:
         """Return a copy of the current policy; further learning does not change it."""
         return copy.deepcopy(self._learner.policy())
-
-    def act(
-        self,
-        obs: Any,
-        deterministic: bool = True,
-        rng: np.random.Generator | None = None,
-    ) -> np.ndarray:
-        """Return actions of the current policy: see `Policy.act`."""
-        return self._learner.policy().act(obs, deterministic, rng)
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[np.ndarray, None]:
-        """Return (actions, None) of the current policy: see `Policy.predict`."""
-        policy = self._learner.policy()
-        return policy.predict(observation, state, episode_start, deterministic)
 
     def save(self, path: str | Path) -> None:
         """Write the current policy to a file that `load_policy` reads, replacing an older one.
@@ -223,7 +183,6 @@ def evaluate(
     for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
     validation.require_type(episodes, evaluation.EpisodeCount, "episodes")
-    validation.require_type(workers, WorkerCount, "workers")
     player = policy.policy() if isinstance(policy, Learner) else policy
     with _one_thread(), closing(_start(env, workers)) as played_in:
         spaces = Spaces(played_in.observation_space, played_in.action_space)
@@ -279,12 +238,8 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
-    if resume is not None:
-        resume = require_path(resume, "resume")
-    if out is not None:
-        out = str(require_path(out, "out"))
     base = resolve(algo, env or "", recipe, scene, resume)
-    named = {"env": env, "algo": algo, "out": out}
+    named = {"env": env, "algo": algo, "out": None if out is None else str(out)}
     flags |= {name: value for name, value in named.items() if value is not None}
     return training.train(base.choose(flags), mpi.world())
 
@@ -306,14 +261,11 @@ def _start(env: Env, workers: int | None) -> vector.Workers:
         raise ValueError(
             f"env: found {type(env).__name__}, allowed an environment, an id or a function"
         )
+    one_thread = partial(torch.set_num_threads, 1)
     try:
-        one_thread = partial(torch.set_num_threads, 1)
         return vector.start(make, workers or 1, one_thread)
     except (AttributeError, TypeError, ImportError, OSError) as error:
-        is_of_processes = (
-            "pickle" in str(error) or type(error) is vector.WorkerDiedError
-        )
-        hint = f"; {NEEDS}" if is_of_processes else ""
+        hint = NEEDS if (workers or 1) > 1 else ""
         raise ValueError(f"env: {error}{hint}") from error
 
 

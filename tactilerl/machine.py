@@ -61,7 +61,6 @@ def _commit(folder: Path) -> str | None:
 
     It ends in "-dirty" where tracked files were changed; None where no repository tracks the package.
     """
-    env = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     git = ["git", "-C", str(folder)]
     # A virtual environment may lie inside a repository that does not track it.
     is_tracked = ["ls-files", "--error-unmatch", "__init__.py"]
@@ -69,11 +68,7 @@ def _commit(folder: Path) -> str | None:
     try:
         for command in (is_tracked, describe):
             output = subprocess.check_output(
-                [*git, *command],
-                env=env,
-                text=True,
-                timeout=5,
-                stderr=subprocess.DEVNULL,
+                [*git, *command], stderr=subprocess.DEVNULL, text=True
             )
     except (OSError, subprocess.SubprocessError):
         return None

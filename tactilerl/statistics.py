@@ -1,12 +1,7 @@
 """Statistics of evaluations and studies: pure functions over arrays.
 
 The first axis is always the samples: episodes or runs (independent seeds). Scores of runs are
-shares of success in [0, 1]. The interquartile mean (IQM) and its bootstrap are those of Agarwal et
-al. 2021, "Deep reinforcement learning at the edge of the statistical precipice"
-(https://arxiv.org/abs/2108.13264).
-
-Mean and IQM are trimmed means. So a resample need not be sorted again: sort the runs once and count
-how often each of them was drawn.
+shares of success in [0, 1].
 """
 
 from __future__ import annotations
@@ -23,8 +18,6 @@ CONFIDENCE = 0.95
 N_RESAMPLES = 50_000  # as the paper's learning curves have them
 N_BINS = 50  # of the histogram behind the converged rate
 END_SHARE = 0.2  # share of a run's points that count as its end
-TRIM = 0.25  # the IQM leaves out this share of the runs at each end
-FEW_RUNS = 10  # below this a percentile interval is too narrow: docs/statistics.md has the coverage
 
 
 class Estimate(NamedTuple):
@@ -69,42 +62,13 @@ def area_under_curve(steps: Array, rates: Array) -> float:
 # -- over the runs ---------------------------------------------------------------------------
 
 
-def iqm(scores: Array) -> Array:
-    """Return the interquartile mean over the runs; (runs, ...) → (...).
-
-    It drops int(n / 4) runs at each end, as rliable does: two of ten.
-    """
-    return np.asarray(scipy.stats.trim_mean(scores, TRIM, axis=0))
-
-
 def resample(rng: np.random.Generator, n: int, n_resamples: int = N_RESAMPLES) -> Array:
-    """Draw how often each of `n` runs is in each bootstrap resample; (n, n_resamples)."""
-    drawn = np.empty((n_resamples, n), np.uint8)  # no run is drawn 256 times
-    for part in np.array_split(drawn, 1 + drawn.size // 2**20):  # to save memory
-        runs = rng.integers(n, size=part.shape)
-        runs += n * np.arange(len(part))[:, None]
-        part[:] = np.bincount(runs.ravel(), minlength=part.size).reshape(part.shape)
-    return np.ascontiguousarray(drawn.T)
-
-
-def bootstrap(scores: Array, counts: Array, trim: float = 0.0) -> Array:
-    """Return the trimmed mean of each resample; (runs,), (runs, n_resamples) → (n_resamples,).
-
-    `trim` is the share of runs left out at each end: 0 for the mean, `TRIM` for the IQM.
-
-    With the runs sorted and C[i] the number drawn up to run i, run i takes the places C[i-1] to
-    C[i] of the sorted resample. With k places trimmed at each end, W[i] = clip(C[i], k, n - k) - k
-    of those up to C[i] are kept, so the aggregate is Σ x[i] (W[i] - W[i-1]) / (n - 2k); it is
-    summed by parts.
-    """
-    n, k = len(scores), int(trim * len(scores))
-    order = np.argsort(scores, kind="stable")
-    drawn = np.ascontiguousarray(counts[order[:-1]], np.min_scalar_type(n))
-    for run in range(1, n - 1):  # np.cumsum over the first axis takes ten times as long
-        drawn[run] += drawn[run - 1]
-    weights = np.clip(drawn, k, n - k, out=drawn) - drawn.dtype.type(k)
-    ordered = scores[order]
-    return np.asarray(ordered[-1] - (np.diff(ordered) / (n - 2 * k)) @ weights)
+    """Draw how often each of `n` samples is in each bootstrap resample; (n, n_resamples)."""
+    counts = np.empty((n_resamples, n), np.uint8)  # none is drawn 256 times
+    for part in np.array_split(counts, 1 + counts.size // 2**20):  # to save memory
+        drawn = rng.integers(n, size=part.shape) + n * np.arange(len(part))[:, None]
+        part[:] = np.bincount(drawn.ravel(), minlength=part.size).reshape(part.shape)
+    return np.ascontiguousarray(counts.T)
 
 
 def percentile_interval(
@@ -114,20 +78,6 @@ def percentile_interval(
     tail = (1 - confidence) / 2
     low, high = np.quantile(distribution, [tail, 1 - tail])
     return float(low), float(high)
-
-
-def sample_efficiency(curves: Array, counts: Array) -> tuple[Array, Array]:
-    """Return the IQM over the runs at every point, with pointwise percentile intervals.
-
-    (runs, points), counts (runs, n_resamples) → (points,), (points, 2). One point at a time, so
-    that memory does not grow with their number; points at which the runs' scores are the same are
-    computed once.
-    """
-    distinct, place = np.unique(curves, axis=1, return_inverse=True)
-    intervals = np.array(
-        [percentile_interval(bootstrap(point, counts, TRIM)) for point in distinct.T]
-    )
-    return iqm(curves), intervals[place.ravel()]
 
 
 def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:
@@ -159,8 +109,18 @@ def mean(samples: Array, counts: Array) -> Estimate:
     if len(samples) < 2:
         value = float(samples[0]) if len(samples) else math.nan
         return Estimate(value, math.nan, math.nan)
-    interval = percentile_interval(bootstrap(samples, counts), expanded(len(samples)))
+    means = samples @ counts / len(samples)
+    interval = percentile_interval(means, expanded(len(samples)))
     return Estimate(float(samples.mean()), *interval)
+
+
+def mean_curve(curves: Array, counts: Array) -> tuple[Array, Array]:
+    """Return the mean over the runs at every point, with pointwise expanded intervals.
+
+    (runs, points), counts (runs, n_resamples) → (points,), (points, 2).
+    """
+    intervals = [mean(point, counts)[1:] for point in curves.T]
+    return curves.mean(axis=0), np.array(intervals)
 
 
 def sign_flip_p(

@@ -3,11 +3,9 @@ each mistake."""
 
 import json
 import math
-import os
 import pickle
 import runpy
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import gymnasium as gym
@@ -131,8 +129,8 @@ class TestLearner:
         policies = [agent.policy(), tactilerl.load_policy("policy.pt"), tactilerl.load_policy("run")]
         for policy in [*policies, pickle.loads(pickle.dumps(policies[1]))]:
             for obs in singles:
-                np.testing.assert_array_equal(policy.act(obs), agent.act(obs))
-            np.testing.assert_allclose(policy.act(batch), np.stack([*map(agent.act, singles)]), 1e-4)
+                np.testing.assert_array_equal(policy.act(obs), policies[0].act(obs))
+            np.testing.assert_allclose(policy.act(batch), np.stack([*map(policy.act, singles)]), 1e-4)
         result = tactilerl.evaluate(policies[1], made, episodes=5)
         assert result == {key: told[key] for key in result}
         assert len(told) == len(result) + 5  # which run, how far, with noise or not, each episode
@@ -167,7 +165,7 @@ class TestLearner:
         parts.learn(1, callback=again.append).learn(1, callback=again.append)
         assert same(rows, again)
         obs = np.array([0.1, 0.2], np.float32)
-        assert np.array_equal(whole.act(obs), parts.act(obs))
+        assert np.array_equal(whole.policy().act(obs), parts.policy().act(obs))
 
     def test_a_policy_stays_as_it_was_taken(self):
         agent, obs = tactilerl.PPO("lqr", **PPO), np.array([0.1, 0.2], np.float32)
@@ -175,7 +173,7 @@ class TestLearner:
         before = policy.act(obs)
         agent.learn(1)
         assert np.array_equal(policy.act(obs), before)
-        assert not np.array_equal(agent.act(obs), before)
+        assert not np.array_equal(agent.policy().act(obs), before)
 
     def test_anybodys_policy_is_played(self):
         class Still:
@@ -187,17 +185,6 @@ class TestLearner:
         left_alone = tactilerl.evaluate(lambda obs: [0.0], "lqr", episodes=3)
         assert steered["mean_return"] > left_alone["mean_return"]
         assert tactilerl.evaluate(Still(), "point-reach", episodes=2)["success_rate"] == 0
-
-    def test_a_forked_child_says_that_it_cannot_go_on(self):
-        agent = short()
-        if (child := os.fork()) == 0:
-            try:
-                agent.learn(20)
-            except ValueError as error:
-                os._exit("make a learner here" not in str(error))
-            finally:
-                os._exit(1)
-        assert os.waitpid(child, 0)[1] == 0
 
     @pytest.mark.parametrize("said", [True, False])
     def test_success_is_read_by_its_other_name(self, said):
@@ -258,10 +245,13 @@ MISTAKES = [
     (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
     (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
     (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
-    (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
-    (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: not finite"),
-    (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
-    (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
+    (
+        lambda: tactilerl.PPO("lqr").policy().act([1, 2, 3]),
+        r"shape \(3,\), expected \(2,\), or a batch",
+    ),
+    (lambda: tactilerl.PPO("lqr").policy().act([1, np.nan]), "obs: not finite"),
+    (lambda: tactilerl.PPO("lqr").policy().act([1, 2], deterministic=False), "rng: found none"),
+    (lambda: tactilerl.DDPGHER("point-reach").policy().act([1, 2]), "found list, expected a Dict with"),
     (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
     (
         lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "point-reach"),
@@ -274,25 +264,21 @@ MISTAKES = [
     ),
     (lambda: tactilerl.PPO("handover"), "did you mean scene='handover' .* tactilerl/Handover-v0"),
     (lambda: short(action=gym.spaces.Box(-3e38, 3e38, (1,))), "Box of floats with finite bounds"),
-    (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
+    (lambda: tactilerl.PPO("lqr").policy().act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
     (lambda: short(obs=(0,)), "space: found an empty one"),
     (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: 'NoneType' object has no"),
     (lambda: tactilerl.make("shadow", friction=(0.5, 1)), r"friction: found \[0.5, 1\], allowed"),
     (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
     (lambda: tactilerl.evaluate(short(), Short(high=2.0)), "actions from -2 to 2, the policy's are"),
     (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
-    (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
-    (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
+    (lambda: short().policy().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
+    (lambda: short().policy().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
     (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
     (lambda: short(obs=gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)), "images"),
     (lambda: short(obs=gym.spaces.Dict(a=gym.spaces.Box(-1, 1, (2,)))), "FlattenObservation"),
     (lambda: short(action=gym.spaces.Box(0, 5, (1,), np.int64)), "Box of floats"),
     (lambda: tactilerl.load_policy(None), "path: found None, allowed a path"),
     (lambda: short().save(3), "path: found 3"),
-    (lambda: tactilerl.train("lqr", resume=3), "resume: found 3"),
-    (lambda: tactilerl.train("lqr", out=3), "out: found 3"),
-    (lambda: tactilerl.train("lqr", out=""), "out: found '', allowed a path"),
-    (lambda: short().learn(20, callback=3), "callback: found 3, allowed a function"),
     (lambda: short(info={"is_success": math.nan}).learn(20), "env: found the is_success in info nan"),
     (lambda: tactilerl.DDPGHER(without_goal()), "allowed a goal environment's"),
     (lambda: tactilerl.evaluate(lambda obs: [math.nan], "lqr"), r"policy: its action: found \[nan\]"),
@@ -329,14 +315,6 @@ class TestMistakes:
         setattr(env, method, lambda *args, **kwargs: returned)
         with pytest.raises(ValueError, match=words):
             tactilerl.PPO(env, **PPO).learn(100)
-
-    def test_a_learner_learns_once_at_a_time(self):
-        agent = short()
-        with pytest.raises(ValueError, match="learn: found this learner learning already"):
-            agent.learn(20, callback=lambda row: agent.learn(20))
-        with ThreadPoolExecutor(1) as pool, pytest.raises(ValueError, match="learning already"):
-            agent.learn(20, callback=lambda row: pool.submit(agent.learn, 20).result())
-        assert agent.learn(20).env_steps == 60
 
     def test_an_episode_without_an_end_is_said(self, monkeypatch):
         monkeypatch.setattr("tactilerl.algos.rollout.MAX_LENGTH", 50)

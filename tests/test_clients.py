@@ -60,9 +60,9 @@ def test_stable_baselines3_evaluates_our_policies(tmp_path):
         learner.save(tmp_path / "policy.pt")
         loaded = tactilerl.load_policy(tmp_path / "policy.pt")
         obs, _ = env.reset(seed=0)
-        for policy in (learner, loaded):
+        for policy in (learner.policy(), loaded):
             action, state = policy.predict(obs, deterministic=True)
-            assert np.array_equal(action, learner.act(obs))
+            assert np.array_equal(action, policy.act(obs))
             assert state is None
             assert (policy.predict(obs)[0] != policy.predict(obs)[0]).any()
             assert np.isfinite(evaluate_policy(policy, env, n_eval_episodes=2)).all()

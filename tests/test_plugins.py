@@ -137,10 +137,10 @@ def test_a_run_is_trained_and_evaluated_with_import(capsys):
 
 def test_a_study_says_what_the_user_has_to_import(capsys, trained_here):
     lines = ['name = "s"', "[setups.cup]", f'scene = "{EXAMPLES / "own_task.toml"}"', "layout = 5"]
-    lines += ['import = "own_task"', "total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]
+    lines += ["total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]
     Path("s.toml").write_text("\n".join(lines))
     run = ["study", "run", "s.toml", "--jobs", "1"]
-    fails_with(capsys, run, "module 'own_task'", "--import own_task")
+    fails_with(capsys, run, "task: found 'hold-cup'", "--import MODULE")
     assert "own_task" not in sys.modules
     assert "cup_s0 done" in printed(capsys, [*run, "--import", "own_task"])
 

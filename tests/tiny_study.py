@@ -31,7 +31,7 @@ name = "toy"
 [compare]
 polyak = [0.95, 0.9]
 [grid]
-batch-size = [16, 32]
+batch_size = [16, 32]
 polyak = [0.9, 0.95]
 seed = "0-1, 7"
 [setups.reach]
@@ -40,7 +40,7 @@ env = "point-reach"
 measure = "test_success_rate"
 [setups.ppo]
 env = "lqr"
-anneal-lr = true
+anneal_lr = true
 hidden = [16, 16]
 compare = {n_passes = [4, 2]}
 grid = {n_passes = [2, 4], seed = 3}

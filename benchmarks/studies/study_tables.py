@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
-from tactilerl.study import pairs as study_pairs
+from tactilerl.study import analysis as study_pairs
 from tactilerl.study import records
+from tactilerl.study.analysis import BySeed, Pairs
 from tactilerl.study.grid import Setup, Study
-from tactilerl.study.pairs import BySeed, Pairs
 from tactilerl.study.records import Record
 
 from benchmarks.command import DATA, data, interval, markdown

@@ -25,7 +25,6 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs
     "hand": "write the file of a hand from its model, with a grasp",
     "study": "train many runs from one file and compare them in a report",
 }
-LONGEST = 600  # characters of an error's line: a path may have 5,000
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -40,13 +39,21 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         code = _run(list(sys.argv[1:] if args is None else args))
         print(end="", flush=True)
+    except SystemExit as stop:  # of tyro, which has said why
+        code = int(stop.code or 0)
+    except InputError as error:
+        code = _refuse(error)
     except BrokenPipeError:  # whoever read our output has gone, such as `head`
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(nowhere, stream.fileno())
-    except Exception as error:
-        if module := _module_of(error):
-            _say("error", f"in the module {module}: {type(error).__name__}: {error}")
+    except (FloatingPointError, OSError) as error:  # such as DivergenceError
+        _say("stopped", error)
+        code = 1
+    except KeyboardInterrupt as error:
+        _say("interrupted", error)
+        code = 130
+    except Exception:
         traceback.print_exc()
         code = 1
     if code and "mpi4py" in sys.modules:
@@ -65,48 +72,32 @@ def _run(args: list[str]) -> int:
     if not args or args[0] in ("-h", "--help"):
         _help()
         return 0 if args else BAD_INPUT
-    if args[0] == "--version":
+    name, *args = args
+    if name == "--version":
         print(f"tactilerl {__version__}")
         return 0
-    try:
-        return _call(args[0], args[1:], first.modules)
-    except SystemExit as stop:  # of tyro, which has said why
-        return int(stop.code or 0)
-    except InputError as error:
-        from ..algos import mpi
-
-        if mpi.launched_rank() not in (None, "0"):
-            time.sleep(1.0)  # mostly rank 0 has found the same, and ends the others
-        _say("error", error)
-        if _module_of(error):
-            traceback.print_exception(error)
-        return BUSY if isinstance(error, BusyError) else BAD_INPUT
-    except BrokenPipeError:
-        raise
-    except (FloatingPointError, OSError) as error:  # such as DivergenceError
-        _say("stopped", error)
-        return 1
-    except KeyboardInterrupt as error:
-        _say("interrupted", error)
-        return 130
-
-
-def _call(name: str, args: list[str], modules: list[str]) -> int:
     if name not in COMMANDS:
         raise InputError(f"unknown command {name!r}, allowed: {', '.join(COMMANDS)}")
     with input_errors():
-        if modules:
+        if first.modules:
             from ..envs import plugins
 
-            plugins.import_modules(modules)
+            plugins.import_modules(first.modules)
         command = import_module(f".{name}", __package__)
     return int(command.main(args))
 
 
-def _module_of(error: BaseException) -> str:
-    """Return the module of --import that an error comes from, or ""."""
+def _refuse(error: InputError) -> int:
+    """Say what was wrong with the input; return the exit code."""
+    from ..algos import mpi
+
+    if mpi.launched_rank() not in (None, "0"):
+        time.sleep(1.0)  # mostly rank 0 has found the same, and ends the others
+    _say("error", error)
     plugins = sys.modules.get("tactilerl.envs.plugins")
-    return plugins.module_of(error) if plugins else ""
+    if plugins and plugins.module_of(error):  # of --import
+        traceback.print_exception(error)
+    return BUSY if isinstance(error, BusyError) else BAD_INPUT
 
 
 def _help() -> None:
@@ -122,6 +113,4 @@ def _say(what: str, error: BaseException | str) -> None:
     parts = [f"{what}: {error}" if str(error) else what]
     parts += getattr(error, "__notes__", ())
     line = " ".join("; ".join(parts).split())
-    if len(line) > LONGEST:
-        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
     print(f"tactilerl: {line}", file=sys.stderr)

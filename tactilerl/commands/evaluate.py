@@ -15,7 +15,7 @@ from rich.table import Table
 
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
-from ..envs import sensors, validation
+from ..envs import sensors
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
@@ -68,29 +68,23 @@ class EvaluateFlags:
 
 def main(args: list[str]) -> int:
     """Run `tactilerl evaluate RUN`."""
-    prog = "tactilerl evaluate"
-    read = flags.parse(EvaluateFlags, args, prog, ABOUT)
+    read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
     command: _CommandFlags = read.command
     trained = policies.read_run(command.run)
     run, scene = trained.config, trained.config.scene
     changed: dict[str, Any] = {}
     if scene is not None:
-        names = validation.names(SensorConfig)
-        now: dict[str, Any] = {"touch": command.touch or scene.touch}
-        if flags.several(args, "--sensor")[0]:  # "" takes the run's away
-            now["sensor"] = read.sensors.sensor
+        chosen = flags.given(read.sensors, args)
+        if command.touch:
+            chosen["touch"] = command.touch
+            if scene.touch == "absent":  # inputs that it never had
+                raise InputError(
+                    f"touch: found {command.touch}, allowed absent, as the run was trained"
+                )
         with input_errors():
-            known = sensors.choose(scene, now)
-        usual = SensorConfig(**{name: getattr(known, name) for name in names})
-        default = EvaluateFlags(command, usual)  # known only now
-        given = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
-        chosen = {**vars(given), "touch": now["touch"]}
-        changed = {k: v for k, v in chosen.items() if v != getattr(scene, k)}
-        if scene.touch == "absent" and "touch" in changed:  # inputs that it never had
-            raise InputError(
-                f"touch: found {command.touch}, allowed absent, as the run was trained"
-            )
-        run = dataclasses.replace(run, scene=dataclasses.replace(scene, **changed))
+            now = sensors.choose(scene, chosen)
+        changed = {k: v for k, v in vars(now).items() if v != getattr(scene, k)}
+        run = dataclasses.replace(run, scene=now)
     elif command.touch or read.sensors != SensorConfig():
         raise InputError(
             f"sensors: found with a run on {run.run.env!r}, which has no hand"
@@ -107,18 +101,13 @@ def main(args: list[str]) -> int:
         "stochastic": command.stochastic, **({"sensors": changed} if changed else {}),
     }  # fmt: skip
     if command.json:
-        each = [
-            {"episode": number, **row, "success": _null_for_nan(row["success"])}
-            for number, row in enumerate(played)
-        ]
+        each = [{"episode": number, **row} for number, row in enumerate(played)]
+        for row in each:
+            row["success"] = None if math.isnan(row["success"]) else row["success"]
         print(json.dumps(about | summary | {"each": each}))
     else:
         console.print(_table(about, summary))
     return 0
-
-
-def _null_for_nan(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str, Any]]:
@@ -140,23 +129,16 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
 
 def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
     """Return a table of how good a policy is, headed by its run and sensors."""
-    changed = [
-        f"{k.replace('_', '-')} {'none' if v == '' else v}"
-        for k, v in about.get("sensors", {}).items()
-    ]
+    changed = [f"{name} {value}" for name, value in about.get("sensors", {}).items()]
     title = ", ".join([about["run"], f"epoch {about['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.
     noise = "without exploration noise; --stochastic plays with it"
     caption = "with exploration noise" if about["stochastic"] else noise
     table = Table("", "mean", "95 % interval", title=title, caption=caption)
-    # Where success ends the episode, the steps held say the same.
-    is_told = {name: bool(summary.get(name)) for name in FAULTS}
-    is_told["mean_held_steps"] = summary.get("mean_held_steps", 0) > 1
-    # The success rate comes first.
-    for name, value in sorted(
-        summary.items(), key=lambda item: item[0] != "success_rate"
-    ):
-        if isinstance(value, list) or not is_told.get(name, True):
+    for name in dict.fromkeys(["success_rate", *summary]):
+        value = summary.get(name)
+        is_fault = name in FAULTS and not value
+        if value is None or isinstance(value, list) or is_fault:
             continue
         digits = 3 if "rate" in name else 1
         bounds = summary.get(f"{name}_ci", ())

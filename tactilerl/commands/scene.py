@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import gymnasium as gym
-
-from ..envs import TOYS, hands, layouts, scenes, tasks, validation
+from ..envs import hands, layouts, scenes, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.scenes import NamedScene
 from ..envs.validation import nearest
@@ -28,15 +26,11 @@ class SceneFlag:
     """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags override it."""
 
 
-def require_env(env: str, scene: str) -> None:
-    """Raise InputError for an environment that is a slip, or is no hand where a scene is named."""
-    hint = nearest(env, [*hands.HANDS, *TOYS])
-    is_slip = hint and env not in gym.registry and env not in TOYS
-    if (scene or is_slip) and not hands.is_hand(env):
-        raise InputError(
-            f"env: found {env!r}, {hint}allowed: {hands.allowed()}; without a scene a toy or a "
-            "Gymnasium id too"
-        )
+def require_hand(env: str, *others: str) -> None:
+    """Raise InputError for an environment that is neither a hand nor one of `others`."""
+    if not hands.is_hand(env) and env not in others:
+        hint = nearest(env, [*hands.HANDS, *others])
+        raise InputError(f"env: found {env!r}, {hint}allowed: {hands.allowed()}")
 
 
 def read_scene(
@@ -49,14 +43,11 @@ def read_scene(
     command: Any = kind()
     given = flags.peek(args, "scene", "env")
     with input_errors():
-        named = NamedScene(env=command.env)
-        if given["scene"]:
-            named = scenes.load(given["scene"])
+        name, usual_env = given["scene"], NamedScene(env=command.env)
+        named = scenes.load(name) if name else usual_env
     env = given["env"] or named.env
-    if not hands.is_hand(env):
-        hint = nearest(env, hands.HANDS)
-        raise InputError(f"env: found {env!r}, {hint}allowed: {hands.allowed()}")
-    with input_errors(f"scene {given['scene']}" if given["scene"] else ""):
+    require_hand(env)
+    with input_errors(f"scene {name}" if name else ""):
         scene = setup(env, **{**named.on(env), **usual})
         validation.validate(scene)  # before tyro reads it as the defaults
     command = dataclasses.replace(command, env=env)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import itertools
 import os
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Union
 
 import tyro
 from rich.table import Table
@@ -17,7 +18,7 @@ from ..files import pasted, require_new
 from ..study import batch, executors, grid, jobs, records
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
-from ..terminal.console import about, console
+from ..terminal.console import Tenths, about, console
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Run:
     walltime: str | None = None
     """Time limit of a job of a batch system, as it wants it; default: dask-jobqueue's."""
     memory: str | None = None
-    """Memory of a job of a batch system; default: dask-jobqueue's, or 3GB."""
+    """Memory of a job of a batch system; default: dask-jobqueue's."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
@@ -76,43 +77,38 @@ class Run:
             console.print(
                 f"study {study.name}: {len(runs)} runs, {len(todo)} to do, in {files.path}"
             )
-            endings, folder = list[jobs.Ending](), files.path.absolute()
+            n_ended, folder = itertools.count(1), files.path.absolute()
+            tell_time = Tenths("", len(todo))
 
-            def show(run: grid.Run, ending: jobs.Ending) -> None:
-                endings.append(ending)
+            def show(run: grid.Run) -> None:
                 record = files.record(run)
-                text = f"[{len(endings)}/{len(todo)}] {run.name} {record.state} "
+                text = f"[{next(n_ended)}/{len(todo)}] {run.name} {record.state} "
                 console.print(text + about(record.seconds))
+                tell_time()
 
             if is_gpu:
                 each = batch.as_jobs(folder, todo, self.jobs)
             else:
-                ranks, cwd = self.ranks_per_run, Path.cwd()
-                each = [jobs.Job(folder, (run,), ranks, cwd=cwd) for run in todo]
+                each = [jobs.Job(folder, (run,), self.ranks_per_run) for run in todo]
             jobs.run_all(each, pool, show)
-        n_failed = _print_failures(map(files.record, runs))
-        if n_busy := endings.count("busy"):
-            console.print(f"{n_busy} runs are trained by another `study run`")
-        if n_interrupted := endings.count("interrupted"):
+        ended = [files.record(run) for run in runs]
+        _print_failures(ended)
+        n = Counter(record.state for record in ended)
+        if n["running"]:
+            console.print(f"{n['running']} runs are trained by another `study run`")
+        if n_interrupted := n["interrupted"] + n["left"]:
             console.print(
                 f"interrupted: {n_interrupted}; run the same command to go on"
             )
         console.print(f"  tactilerl study report {pasted(files.path)}")
-        return 1 if n_failed or n_interrupted else 0
+        return 1 if n["failed"] or n_interrupted else 0
 
 
-def _counts(all_records: Iterable[Record]) -> dict[str, int]:
-    """Return how many runs are in each state."""
-    states = [record.state for record in all_records]
-    return {state: states.count(state) for state in records.STATES}
-
-
-def _print_failures(all_records: Iterable[Record]) -> int:
-    """Print every run that failed, and why; return how many."""
-    failed = [record for record in all_records if record.state == "failed"]
-    for record in failed:
-        console.print(f"failed: {record.run.name}: {record.reason}")
-    return len(failed)
+def _print_failures(all_records: Iterable[Record]) -> None:
+    """Print every run that failed, and why."""
+    for record in all_records:
+        if record.state == "failed":
+            console.print(f"failed: {record.run.name}: {record.reason}")
 
 
 @dataclass(frozen=True)
@@ -123,10 +119,8 @@ class Train:
     """Folder of the study."""
     run: tyro.conf.Positional[tuple[str, ...]]
     """Name of the run, or names of all runs of batches."""
-    on: Literal["local", "gpu"] = "local"
-    """gpu: train them as batches (extra: gpu)."""
-    jobs: Annotated[int, "[1, inf)"] = executors.SIDE_BY_SIDE
-    """Batches that are trained side by side, with --on gpu."""
+    batches: Annotated[int, "[0, inf)"] = 0
+    """Batches that are trained side by side on a GPU (extra: gpu); 0: the runs one by one."""
 
     def __call__(self) -> int:
         """Run `tactilerl study train FOLDER RUN`."""
@@ -138,15 +132,11 @@ class Train:
         for name in self.run:
             if name not in runs:
                 raise InputError(f"{self.folder}: found no run {name!r} in it")
-        if self.on == "gpu":
-            return batch.train(files, [runs[name] for name in self.run], self.jobs)
-        if len(self.run) != 1:
-            raise InputError(
-                f"run: found {len(self.run)}, allowed one, or several with --on gpu"
-            )
-        run = runs[self.run[0]]
-        out = {"out": str(files.run_dir(run).path)}
-        train(run.config().choose(out), mpi.world(), f"study train: {run.name}")
+        if self.batches:
+            return batch.train(files, [runs[name] for name in self.run], self.batches)
+        for name in self.run:
+            out = {"out": str(files.run_dir(runs[name]).path)}
+            train(runs[name].config().choose(out), mpi.world(), f"study train: {name}")
         return 0
 
 
@@ -156,21 +146,14 @@ class Status:
 
     folder: tyro.conf.Positional[Path]
     """Folder of the study, or the file that `collect` wrote."""
-    json: bool = False
-    """Print JSON instead of a table."""
 
     def __call__(self) -> None:
         """Run `tactilerl study status FOLDER`."""
         study, all_records = records.load(self.folder)
-        if self.json:
-            states = {record.run.name: record.state for record in all_records}
-            counts = _counts(all_records)
-            print(json.dumps({"study": study.name, **counts, "states": states}))
-            return
         table = Table("set-up", *records.STATES, title=f"study {study.name}")
         for setup in study.setups:
-            of_setup = [r for r in all_records if r.run.setup == setup.name]
-            table.add_row(setup.name, *map(str, _counts(of_setup).values()))
+            n = Counter(r.state for r in all_records if r.run.setup == setup.name)
+            table.add_row(setup.name, *(str(n[state]) for state in records.STATES))
         console.print(table)
         _print_failures(all_records)
 
@@ -190,8 +173,8 @@ class Collect:
         """Run `tactilerl study collect FOLDER`."""
         out = self.out or self.folder / records.PACKED
         require_new(out, self.overwrite)
-        path = records.collect(self.folder, out)
-        console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+        records.collect(self.folder, out)
+        console.print(f"{out}: {out.stat().st_size / 1e6:.2f} MB")
 
 
 @dataclass(frozen=True)
@@ -204,14 +187,12 @@ class Report:
     """Folder for the report; default: report/ beside the runs or the collected file."""
     overwrite: bool = False
     """Replace an earlier report there."""
-    resamples: Annotated[int, "[100, 1e6]"] = 50_000
-    """Resamples of every bootstrap and permutation test; fewer are faster and less exact."""
 
     def __call__(self) -> None:
         """Run `tactilerl study report FOLDER`."""
         with extra("study"):
             from ..study import analysis, report
-        result = analysis.analyse(*records.load(self.study), self.resamples)
+        result = analysis.analyse(*records.load(self.study))
         beside = self.study if os.path.isdir(self.study) else self.study.parent
         out = self.out or beside / "report"
         require_new(out, self.overwrite)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import gymnasium as gym
+
 from ..algos import mpi
+from ..envs import TOYS, hands
+from ..envs.validation import nearest
 from ..errors import InputError, input_errors
 from ..files import pasted
 from ..runs.config import RunConfig
-from ..runs.store import RunDir, resolve
+from ..runs.store import resolve
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph
-from ..terminal.epochs import learning_curve
-from .scene import SceneFlag, layout_notes, require_env, sensor_notes
+from .scene import SceneFlag, layout_notes, require_hand, sensor_notes
 
 ABOUT = """\
 Train a policy. --scene, --algo, --env and --recipe decide which other flags exist, and their
@@ -43,8 +46,8 @@ def main(args: list[str]) -> int:
     given = flags.peek(args, "algo", "env", "recipe", "scene", "resume", "out")
     if given.pop("out") and given["resume"]:
         raise InputError("out: found with --resume; a resumed run stays in its folder")
-    if given["env"]:
-        require_env(given["env"], given["scene"])
+    if nearest(given["env"], hands.HANDS):  # its flags would all be unknown
+        require_hand(given["env"], *TOYS, *gym.registry)
     usual = resolve(**given)
     parts = {"start": TrainFlags(), **usual.parts}
     read = vars(flags.parse_parts(parts, args, "tactilerl train", ABOUT))
@@ -57,11 +60,9 @@ def main(args: list[str]) -> int:
             notes += sensor_notes(config.run.env, config.scene)
     path = train(config, comm, _summary(config, usual, comm.size, notes))
     if comm.rank == 0:
-        curve = learning_curve(RunDir(path).rows())
-        lines = [f"\nLearning curve: {curve}"] if curve else [""]
-        lines += [
-            f"The run is in {path}: progress.csv (learning curve), checkpoint.pt, "
-            "config.json (all settings).",
+        lines = [
+            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json (all "
+            "settings).",
             f"  tactilerl evaluate {pasted(path)}{config.again}",
         ]
         if config.scene:

@@ -33,13 +33,9 @@ from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import (
     LEFTOVER,
-    MAX_RECORD,
     as_json,
     damage_named,
     make_folder,
-    no_link,
-    open_regular,
-    read_whole,
     replacing,
     writable,
 )
@@ -93,7 +89,7 @@ def read_tensors(
     """
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"damaged or not a {kind}", missing):
-        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+        with zipfile.ZipFile(path) as archive:
             if any(entry.compress_type for entry in archive.infolist()):
                 raise ValueError("it is compressed, as torch.save does not write it")
             if changed := archive.testzip():
@@ -198,7 +194,7 @@ class RunDir:
         """Return what config.json holds; InputError when damaged."""
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(json.loads(read_whole(self.config_file, MAX_RECORD)))
+            return as_record(json.loads(self.config_file.read_bytes()))
 
     # -- progress.csv ------------------------------------------------------------------------
 
@@ -206,9 +202,7 @@ class RunDir:
         """Add rows to the table, on disk; the first row decides the columns."""
         if not rows:
             return
-        with open(
-            self.table, "a+", newline="", encoding="utf-8", opener=no_link
-        ) as file:
+        with open(self.table, "a+", newline="", encoding="utf-8") as file:
             file.seek(0)
             columns = next(csv.reader(file), None)
             if unknown := set(columns or ()) - rows[0].keys():
@@ -233,7 +227,7 @@ class RunDir:
         if not self.table.exists():
             return []
         with damage_named(self.table):
-            rows, problem = parse(read_whole(self.table, MAX_RECORD).decode("utf-8"))
+            rows, problem = parse(self.table.read_bytes().decode("utf-8"))
             if problem:
                 raise ValueError(problem)
         return rows

@@ -13,7 +13,7 @@ from typing import Any
 
 from ..errors import InputError, extra
 from ..machine import free_cores
-from .jobs import threads
+from ..terminal import interrupts
 
 BATCH = {
     "slurm": "SLURM",
@@ -23,8 +23,8 @@ BATCH = {
     "htcondor": "HTCondor",
 }
 DASK = "dask:"
+LATER = "runs keep their last epochs, and go on when the study is run again"
 SIDE_BY_SIDE = 6  # batches on a GPU: one alone waits for itself
-MEMORY = "3GB"  # of a process, as the guide says
 
 
 @contextmanager
@@ -35,26 +35,26 @@ def start(
 
     Raises InputError where it is not known or cannot be reached, or for flags that are another's.
     """
-    is_batch, is_dask = on in BATCH, on.startswith(DASK)
-    if not (is_batch or is_dask or on in ("local", "gpu")):
+    is_batch = on in BATCH
+    if not (is_batch or on.startswith(DASK) or on in ("local", "gpu")):
         allowed = f"local, gpu, dask:ADDRESS, {', '.join(BATCH)}"
         raise InputError(f"--on: found {on!r}, allowed: {allowed}")
     if is_batch and not jobs:
         raise InputError(f"--on {on}: how many jobs to submit? Give --jobs N")
-    if is_dask and jobs:
-        raise InputError("--jobs: found with Dask, which has as many as there are")
     if (walltime or memory) and not is_batch:
         raise InputError(f"--walltime, --memory: allowed only with {', '.join(BATCH)}")
     if on == "gpu" and ranks > 1:
         raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
     if on in ("local", "gpu"):
         usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
-        n = jobs or usual
-        with threads(n) as pool:
-            yield pool
+        pool = concurrent.futures.ThreadPoolExecutor(jobs or usual)
+        try:
+            yield pool  # threads, which wait for the processes of their jobs
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
         return
     with extra("cluster"):
-        from dask.distributed import Client
+        from dask.distributed import Client, KilledWorker
     try:
         where: Any = on.removeprefix(DASK)
         if is_batch:
@@ -66,18 +66,17 @@ def start(
             where.scale(jobs=jobs)
         connect: Any = Client  # which has no types
         client = connect(where)
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"--on {on}: {error}") from error
     # It would log tracebacks of what is said below in one line.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-    with client:
+    with client, interrupts.in_order():
         try:
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
-            raise OSError(
-                f"--on {on}: Dask's scheduler has gone; its runs keep their last checkpoints, and go "
-                "on when the study is run again"
-            ) from error
+            raise OSError(f"--on {on}: Dask's scheduler has gone; {LATER}") from error
+        except KilledWorker as error:
+            raise OSError(f"--on {on}: {error}; {LATER}") from error
 
 
 def cluster(on: str, ranks: int, walltime: str | None, memory: str | None) -> Any:
@@ -87,19 +86,13 @@ def cluster(on: str, ranks: int, walltime: str | None, memory: str | None) -> An
     """
     on_interrupt = signal.getsignal(signal.SIGINT)
     with extra("cluster"):
-        import dask
         import dask_jobqueue
     signal.signal(signal.SIGINT, on_interrupt)  # dask_jobqueue's own would exit
-    options: dict[str, Any] = {
-        "cores": ranks,
-        "processes": 1,
-        "worker_extra_args": ["--nthreads", "1"],
-        "memory": memory or dask.config.get(f"jobqueue.{on}.memory") or MEMORY,
-    }
-    if on == "htcondor":  # which has no limit of time
-        options["disk"] = dask.config.get("jobqueue.htcondor.disk") or "1GB"
-    elif walltime:
-        has_seconds = walltime.count(":") == 2
-        is_cut = on == "lsf" and has_seconds  # LSF has no seconds
-        options["walltime"] = walltime.rpartition(":")[0] if is_cut else walltime
-    return getattr(dask_jobqueue, f"{BATCH[on]}Cluster")(**options)
+    options: dict[str, Any] = {"walltime": walltime} if walltime else {}
+    return getattr(dask_jobqueue, f"{BATCH[on]}Cluster")(
+        cores=ranks,
+        processes=1,
+        worker_extra_args=["--nthreads", "1"],
+        memory=memory,
+        **options,
+    )

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import matplotlib
 from matplotlib.figure import Figure
 
-from ..style import DPI, GROUPS, HEAD, MORE_COLOURS, ROLES, STYLE
+from ..style import DPI, GROUPS, MORE_COLOURS, ROLES, STYLE
 from .analysis import SetupResult
 from .grid import Setup
 
@@ -22,7 +22,7 @@ def title(result: SetupResult) -> str:
     """Return what the curves of a set-up show."""
     length = result.config["run"]["total_timesteps"]
     return (
-        f"Learning curves: every run, and the IQM with its 95 % interval: {result.subject}, "
+        f"Learning curves: every run, and the mean with its 95 % interval: {result.subject}, "
         f"{length:,} steps a run"
     )
 
@@ -36,9 +36,9 @@ def colours(setup: Setup) -> dict[str, str]:
 
 @matplotlib.rc_context(STYLE)
 def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
-    """Draw the paper's Figures 3 and 5: a panel per setting, IQM with interval and every run.
+    """Draw a panel per setting, as the paper's Figures 3 and 5: mean with interval, and every run.
 
-    A PNG has its title; an SVG stands below it in the report. The same records give the same bytes.
+    The same records give the same bytes.
     """
     setup, steps = result.setup, result.steps
     settings = list(dict.fromkeys(setting for setting, _ in result.groups))
@@ -52,19 +52,17 @@ def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
     for setting, panel in zip(settings, panels, strict=False):
         for name, colour in by_group.items():
             if group := result.groups.get((setting, name)):
-                panel.fill_between(steps, *group.iqm_bounds.T, color=colour, **BAND)
+                panel.fill_between(steps, *group.bounds.T, color=colour, **BAND)
                 panel.plot(steps, group.curves.T, color=colour, **LINE)
-                panel.plot(steps, group.iqm_curve, color=colour, lw=2.2)
+                panel.plot(steps, group.mean_curve, color=colour, lw=2.2)
         rate = setup.measure.replace("_", " ")
         panel.set(xlabel="environment steps", ylabel=rate, ylim=(-0.02, 1.02))
         panel.set_title("" if setting == "all" else setting)
         panel.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
         panel.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
     for name, colour in by_group.items():
-        panels[0].plot([], [], color=colour, lw=2.2, label=f"{setup.label(name)}, IQM")
+        panels[0].plot([], [], color=colour, lw=2.2, label=f"{setup.label(name)}, mean")
     figure.legend(loc="outside lower center", fontsize=8, ncols=2 * columns)
-    if kind == "png":
-        figure.suptitle(title(result), **HEAD)
     file, volatile = io.BytesIO(), "Date" if kind == "svg" else "Software"
     figure.savefig(file, format=kind, dpi=DPI, metadata={volatile: None})
     return file.getvalue()

@@ -2,6 +2,7 @@
 
     name = "pilot"
     measure = "success_rate"
+    score = "area"                           # optional: what a comparison is decided by
 
     [compare]
     touch = ["on", "off"]                    # treatment, control
@@ -15,9 +16,6 @@
     algo = "ppo"
     env = "mpl"
 
-    [primary]                                # optional: what the treatments are judged by
-    score = "area"
-
 A set-up may have a `measure`, `compare` and `grid` of its own instead of the study's. A setting is one
 combination of the grid's values, without the seed and the compared flag; a group is the runs of a
 setting that share a value of the compared flag.
@@ -27,39 +25,30 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from ..envs import plugins, validation
+from ..envs import validation
 from ..envs.validation import require_known, require_one_of
-from ..errors import InputError, input_errors
+from ..errors import input_errors
 from ..files import require_name
 from ..runs.config import RunConfig, configure
 from ..style import ROLES
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
-KEYS = {"name", "measure", "compare", "primary", "grid", "setups"}
+KEYS = {"name", "measure", "score", "compare", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
-SEED, IMPORT = "seed", "import"
-RESERVED_FLAGS = {SEED, "out", "resume", "workers", "tensorboard"}
+SEED = "seed"
+RESERVED_FLAGS = {SEED, "out", "workers"}
 N_TEST_EPISODES = 200  # at the end of a run, where the study does not say how many
-MAX_RUNS = 10_000  # a slip in a grid multiplies
 
 Score = Literal["area", "last", "converged", "test"]
 """The number that a run is judged by: docs/statistics.md; test: that at its end, without noise."""
-
-
-@dataclass(frozen=True)
-class Primary:
-    """Name the score that decides a comparison; it is written down before the runs."""
-
-    score: Score = "area"
 
 
 @dataclass(frozen=True)
@@ -92,22 +81,13 @@ class Run:
         return self.setup, self.setting, self.group
 
     def config(self) -> RunConfig:
-        """Return the configuration of the run; raise InputError naming what is wrong with it.
-
-        A module that it names is imported by nobody but the user, with `--import`.
-        """
+        """Return the configuration of the run; raise InputError naming what is wrong with it."""
         return self._config
 
     @cached_property
     def _config(self) -> RunConfig:
-        flags = dict(self.flags)
-        for name in _as_list(flags.pop(IMPORT, [])):
-            if name not in plugins.imported:
-                raise InputError(
-                    f"it needs the module {str(name)[:50]!r}; if you trust it, give --import {name}"
-                )
         usual = {"n_test_episodes": N_TEST_EPISODES}
-        return configure({**usual, **flags, SEED: self.seed, "workers": 1})
+        return configure({**usual, **self.flags, SEED: self.seed, "workers": 1})
 
 
 @dataclass(frozen=True)
@@ -159,7 +139,8 @@ class Study:
 
     name: str
     setups: list[Setup]
-    primary: Primary = Primary()
+    score: Score = "area"
+    """The score that decides a comparison; it is written down before the runs."""
 
     def runs(self) -> list[Run]:
         """Return all runs, seed by seed, so that a partial study stays balanced."""
@@ -172,44 +153,19 @@ class Study:
             for run in setup.runs(seed)
         ]
 
-    def validate(self) -> None:
-        """Raise ValueError naming the first thing that the parts allow, but not together."""
-        require_name(self.name, "name")
-        counts = [
-            len(setup.seeds) * math.prod(map(len, setup.grid.values()))
-            for setup in self.setups
-        ]
-        n_runs = sum(counts) * all(counts)
-        if not 0 < n_runs <= MAX_RUNS:
-            raise ValueError(f"grid: found {n_runs:,} runs, allowed 1 to {MAX_RUNS:,}")
-        for name, times in Counter(run.name for run in self.runs()).items():
-            require_name(name, "the name of a run")
-            if times > 1:
-                raise ValueError(
-                    f"grid: {times} runs would be called {name!r}; values must differ more"
-                )
-
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
         return dataclasses.asdict(self)
 
 
-def from_dict(data: Any) -> Study:
-    """Return the study that `as_dict` was made from; any error says that it is no such dictionary.
-
-    Anybody may have written it: it is read as the study file that says the same.
-    """
-    setups = {}
+def from_dict(data: dict[str, Any]) -> Study:
+    """Return the study that `as_dict` made a dictionary of."""
+    setups = []
     for one in data["setups"]:
         pair = one["compare"]
-        compare = pair and {pair["flag"]: [pair["treatment"], pair["control"]]}
-        grid = {**one["grid"], SEED: one["seeds"]}
-        parts = {"measure": one["measure"], "compare": compare or {}, "grid": grid}
-        setups[one["name"]] = {**one["flags"], **parts}
-    primary = data.get("primary") or {}
-    if primary.get("score") == "final":  # 0.5.0's, the last tenth
-        primary = {"score": "last"}
-    return _study({"name": data["name"], "setups": setups, "primary": primary})
+        setups.append(Setup(**{**one, "compare": pair and Contrast(**pair)}))
+    score = data.get("score") or data["primary"]["score"]  # as 0.5.0 has it
+    return Study(data["name"], setups, "last" if score == "final" else score)
 
 
 def read(path: Path) -> Study:
@@ -222,37 +178,39 @@ def read(path: Path) -> Study:
 
 def _study(data: dict[str, Any]) -> Study:
     require_known(data, KEYS)
+    name, score = require_name(data.get("name"), "name"), data.get("score", "area")
+    require_one_of(get_args(Score), score, "score")
     setups = []
-    for name in validation.table(data, "setups"):
-        with validation.blamed(f"setups.{name}"[:60]):
-            table = validation.table(data["setups"], name)
-            setups.append(_setup(require_name(name, "name"), table, data))
-    primary = validation.fill(Primary, data.get("primary", {}), "primary")
-    study = Study(data.get("name"), setups, primary)  # type: ignore[arg-type]
-    study.validate()
+    for setup in validation.require_type(data.get("setups"), dict, "setups"):
+        with validation.blamed(f"setups.{setup}"[:60]):
+            table = validation.table(data["setups"], setup)
+            setups.append(_setup(require_name(setup, "name"), table, data))
+    study = Study(name, setups, score)
+    for name, times in Counter(run.name for run in study.runs()).items():
+        if times > 1:
+            raise ValueError(
+                f"grid: {times} runs would be called {name!r}; values must differ more"
+            )
     return study
 
 
 def _setup(name: str, table: dict[str, Any], study: dict[str, Any]) -> Setup:
     parts = {"measure": MEASURES[0], **study, **table}
-    flags = _flags({k: v for k, v in table.items() if k not in SETUP_KEYS})
-    grid = _flags(validation.table(parts, "grid"))
-    seeds = _seeds(_as_list(grid.pop(SEED, 0)))
+    flags = {flag: value for flag, value in table.items() if flag not in SETUP_KEYS}
+    grid = {flag: _as_list(x) for flag, x in validation.table(parts, "grid").items()}
+    seeds = _seeds(grid.pop(SEED, [0]))
     for flag in RESERVED_FLAGS & (flags.keys() | grid.keys()):
         raise ValueError(
             f"{flag}: leave it out; seeds belong in the grid, the rest to `study run`"
         )
     for flag in flags.keys() & grid.keys():
         raise ValueError(f"{flag}: found in the set-up and in the grid, allowed in one")
-    grid = {flag: _as_list(values) for flag, values in grid.items()}
-    compare = _compare(_flags(validation.table(parts, "compare")), grid)
+    for flag, values in {SEED: seeds, **grid}.items():
+        if not values:
+            raise ValueError(f"{flag}: found no values in the grid")
+    compare = _compare(validation.table(parts, "compare"), grid)
     require_one_of(MEASURES, parts["measure"], "measure")
     return Setup(name, flags, grid, seeds, compare, parts["measure"])
-
-
-def _flags(table: dict[str, Any]) -> dict[str, Any]:
-    """Return values by the names of their flags, with underscores, as in config.json."""
-    return {key.replace("-", "_"): value for key, value in table.items()}
 
 
 def _as_list(value: Any) -> list[Any]:
@@ -262,13 +220,13 @@ def _as_list(value: Any) -> list[Any]:
 def _seeds(values: list[Any]) -> list[int]:
     seeds: list[int] = []
     for part in ",".join(map(str, values)).split(","):
-        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
-        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not first <= last < first + MAX_RUNS:
+        first, _, last = part.partition("-")
+        try:
+            seeds += range(int(first), int(last or first) + 1)
+        except ValueError:
             raise ValueError(
                 f'seed: found {part[:60]!r}, expected numbers and ranges, such as "0-9"'
-            )
-        seeds += range(first, last + 1)
+            ) from None
     return seeds
 
 

@@ -11,40 +11,30 @@ study to another, with rsync for example. A packed file has the JSON and CSV fil
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import math
 import os
 import tarfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from gzip import GzipFile
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import filelock
 import numpy as np
 
 from ..errors import InputError
-from ..files import (
-    LEFTOVER,
-    MAX_RECORD,
-    as_json,
-    damage_named,
-    read_whole,
-    replacing,
-    writable,
-)
-from ..runs.store import Row, RunDir, as_record, parse
+from ..files import as_json, damage_named, replacing, writable
+from ..runs.store import Row, RunDir
 from ..statistics import Array
 from .grid import Run, Study, from_dict
 
-State = Literal["done", "running", "failed", "interrupted", "left"]
+State = Literal["done", "failed", "running", "interrupted", "left"]
 STATES: tuple[State, ...] = get_args(State)
-MAX_UNPACKED = 2 * 10**8  # bytes of all files in a packed one
 STUDY, RUNS, PACKED = "study.json", "runs", "collected.tar.gz"
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -58,7 +48,7 @@ class Record:
     config: dict[str, Any]
     """config.json, without the run's folder; empty where there is none that can be read."""
     rows: list[Row]
-    """The progress table, up to where it is cut off or damaged."""
+    """The progress table."""
 
     def column(self, name: str) -> Array:
         """Return a column of the progress table as numbers, NaN where there is none."""
@@ -66,16 +56,10 @@ class Record:
 
     @cached_property
     def curve(self) -> tuple[Array, Array]:
-        """The steps and rates of the epochs that have a rate, a share of 1."""
+        """The steps and rates of the epochs that have a rate."""
         steps, rates = self.column("env_steps"), self.column(self.run.measure)
-        known = (rates >= 0) & (rates <= 1)
+        known = ~np.isnan(rates)
         return steps[known], rates[known]
-
-    @property
-    def diverged(self) -> int:
-        """The number of episodes that diverged."""
-        columns = self.column("diverged"), self.column("test_diverged")
-        return int(sum(map(np.nansum, columns)))
 
     @property
     def is_finished(self) -> bool:
@@ -104,18 +88,22 @@ class StudyFiles:
         self._packed = _unpacked(path) if is_file else None
 
     def read(self, name: str) -> bytes:
-        """Return a file's content; raise FileNotFoundError where there is none."""
-        if self._packed is None:
-            return read_whole(self.path / name, MAX_RECORD)
-        if name not in self._packed:
-            raise FileNotFoundError(name)
-        return self._packed[name]
+        """Return a file's content, nothing where there is none."""
+        if self._packed is not None:
+            return self._packed.get(name, b"")
+        try:
+            return (self.path / name).read_bytes()
+        except FileNotFoundError:
+            return b""
 
     def study(self) -> Study:
         """Return the study that was run here last; raise InputError where there is none."""
-        missing = f"{str(self.path)!r} is not a study's folder: no study.json in it"
-        with damage_named(self.path / STUDY, "not a study of this version", missing):
-            return from_dict(json.loads(self.read(STUDY)))
+        with damage_named(self.path / STUDY, "not a study of this version"):
+            if data := self.read(STUDY):
+                return from_dict(json.loads(data))
+        raise InputError(
+            f"{str(self.path)!r} is not a study's folder: no study.json in it"
+        )
 
     def run_dir(self, run: Run) -> RunDir:
         """Return the folder of one of its runs."""
@@ -127,43 +115,33 @@ class StudyFiles:
 
     def record(self, run: Run) -> Record:
         """Read what there is of a run now."""
-        name, problems = f"{RUNS}/{run.name}", list[str]()
-
-        def parsed(file: str, parser: Callable[[bytes], T], nothing: T) -> T:
-            try:
-                with damage_named(Path(file)):
-                    return parser(self.read(file))
-            except FileNotFoundError:
-                return nothing
-            except InputError as error:
-                problems.append(str(error))
-                return nothing
-
-        config = parsed(f"{name}/config.json", _config, dict[str, Any]())
-        is_begun = bool(config or problems)
-        table, nothing = f"{name}/progress.csv", (list[Row](), "")
-        rows, cut = parsed(table, lambda data: parse(data.decode()), nothing)
-        if rows and run.measure not in rows[0]:
-            problems.append(f"{table}: found no column {run.measure}")
-        failure = parsed(
-            f"{name}.json", lambda data: str(json.loads(data)["reason"]), ""
-        )
-        planned = config.get("run", {}).get("total_timesteps")
-        planned = run.flags.get("total_timesteps", planned)
-        steps = int(rows[-1]["env_steps"]) if config and rows else -math.inf
-        if isinstance(planned, int | float) and steps >= planned:
-            return Record(run, "done", next(iter(problems), ""), config, rows)
-        state: State = "interrupted" if is_begun else "left"
-        if self._packed is None and self.is_running(run):
-            state = "running"
+        name, config, rows = f"{RUNS}/{run.name}", dict[str, Any](), list[Row]()
+        is_done, failure, problem = False, "", ""
+        try:
+            with damage_named(Path(name)):
+                if told := self.read(f"{name}.json"):
+                    failure = json.loads(told)["reason"]
+                if saved := self.read(f"{name}/config.json"):
+                    config = json.loads(saved)
+                    config["run"].pop("out", None)
+                    rows = _table(self.read(f"{name}/progress.csv"))
+                    planned = config["run"]["total_timesteps"]
+                    planned = run.flags.get("total_timesteps", planned)
+                    is_done = bool(rows) and int(rows[-1]["env_steps"]) >= planned
+        except InputError as error:
+            problem = str(error)
+        state: State = "interrupted" if config or problem else "left"
+        if is_done:
+            state, failure = "done", ""
         elif failure:
             state = "failed"
-        reason = next(filter(None, [failure, *problems, cut]), "")
-        return Record(run, state, reason, config, rows)
+        elif self._is_running(run):
+            state = "running"
+        return Record(run, state, failure or problem, config, rows)
 
-    def is_running(self, run: Run) -> bool:
-        """Return whether a process, here or elsewhere, trains it right now."""
-        lock = self.run_dir(run).path / ".lock"
+    def _is_running(self, run: Run) -> bool:
+        """Return whether a `study run`, here or elsewhere, trains it right now."""
+        lock = self.beside(run, "lock")
         if not lock.exists():
             return False
         try:
@@ -175,19 +153,16 @@ class StudyFiles:
             return False
 
     def write_failure(self, run: Run, reason: str) -> None:
-        """Record that a run failed, and why, without the folder of this machine."""
-        for place in (self.path, self.path.resolve()):
-            reason = reason.replace(f"{place / RUNS}{os.sep}", "")
+        """Record that a run failed, and why."""
         with replacing(self.beside(run, "json")) as file:
             file.write(as_json({"reason": reason}))
 
     def create(self, study: Study) -> None:
         """Make the folder, or write the study anew into one that it was run in."""
-        names = {path.name for path in self.path.glob("*") if path.suffix != LEFTOVER}
-        holds = study.name
-        if names - {RUNS}:
-            holds = self.study().name if STUDY in names else "no study"
-        if holds != study.name:
+        # Another process may be making it, too: with a hidden file, and the folder of runs first.
+        names = {path.name for path in self.path.glob("[!.]*")} - {RUNS}
+        holds = self.study().name if STUDY in names else "no study"
+        if names and holds != study.name:
             raise InputError(
                 f"{str(self.path)!r} holds {holds}, not the study {study.name!r}; choose another "
                 "with --out"
@@ -198,10 +173,9 @@ class StudyFiles:
             file.write(as_json(study.as_dict()))
 
 
-def _config(data: bytes) -> dict[str, Any]:
-    config = as_record(json.loads(data))
-    config["run"].pop("out", None)
-    return config
+def _table(data: bytes) -> list[Row]:
+    """Return the rows of a progress.csv; a last line that was cut off does not count."""
+    return [*csv.DictReader(io.StringIO(data[: data.rfind(b"\n") + 1].decode()))]
 
 
 def load(path: Path) -> tuple[Study, list[Record]]:
@@ -211,19 +185,17 @@ def load(path: Path) -> tuple[Study, list[Record]]:
     return study, [files.record(run) for run in study.runs()]
 
 
-def collect(path: Path, out: Path | None = None) -> Path:
-    """Pack the records of a study into one file, and return its path."""
-    out = out or path / PACKED
-    study, records = load(path)
-    here, files = StudyFiles(path), {STUDY: as_json(study.as_dict())}
+def collect(path: Path, out: Path) -> None:
+    """Pack the records of a study into one file."""
+    here, (study, records) = StudyFiles(path), load(path)
+    files = {STUDY: as_json(study.as_dict())}
     for record in records:
         name = f"{RUNS}/{record.run.name}"
         if record.config:
             files[f"{name}/config.json"] = as_json(record.config)
-        if record.rows:
-            files[f"{name}/progress.csv"] = here.read(f"{name}/progress.csv")
-        if record.state == "failed":
-            files[f"{name}.json"] = as_json({"reason": record.reason})
+        for kept in (f"{name}/progress.csv", f"{name}.json"):
+            if data := here.read(kept):
+                files[kept] = data
     with (
         replacing(out) as file,
         GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,
@@ -233,23 +205,13 @@ def collect(path: Path, out: Path | None = None) -> Path:
             entry = tarfile.TarInfo(name)
             entry.size = len(data)
             archive.addfile(entry, io.BytesIO(data))
-    return out
 
 
 def _unpacked(path: Path) -> dict[str, bytes]:
     """Return the files in a packed file, by name; they are never written by that name."""
-    with damage_named(path, "not a collected study of this version"):
-        data, files = read_whole(path, MAX_UNPACKED, is_packed=True), {}
-        with tarfile.open(fileobj=io.BytesIO(data)) as archive:
-            for entry in archive:
-                if not 0 <= entry.size <= MAX_RECORD:  # below 0 it would never end
-                    allowed = f"allowed 0 to {MAX_RECORD:,}"
-                    raise ValueError(
-                        f"{entry.name}: found {entry.size:,} bytes, {allowed}"
-                    )
-                if entry.type == tarfile.REGTYPE and not entry.issparse():
-                    file = archive.extractfile(entry)
-                    files[entry.name] = file.read() if file else b""
-        if STUDY not in files:
-            raise ValueError("no study.json in it")
-        return files
+    with (
+        damage_named(path, "not a collected study of this version"),
+        tarfile.open(path) as archive,
+    ):
+        opened = {entry.name: archive.extractfile(entry) for entry in archive}
+        return {name: file.read() for name, file in opened.items() if file}

@@ -10,21 +10,19 @@ import io
 import math
 from base64 import b64encode
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import jinja2
 
-from .. import statistics
-from ..files import make_folder, replacing, require_file
-from ..statistics import FEW_RUNS, Estimate, fewest_pairs
+from ..files import replacing
+from ..statistics import Estimate, fewest_pairs
 from . import figures
-from .analysis import Analysis, SetupResult
+from .analysis import ALPHA, Analysis, Pairs, SetupResult
 from .grid import Setup
-from .pairs import ALPHA, Verdict
 
 TEMPLATE = "report.html.j2"
+FEW_RUNS = 10  # of a group: docs/statistics.md
 MEANS = {
     "area": "mean success",
     "last": "success in the last fifth",
@@ -34,8 +32,7 @@ MEANS = {
 """Scores as sentences have them."""
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table of texts."""
 
     name: str
@@ -61,6 +58,11 @@ class Picture(NamedTuple):
     title: str
     svg: bytes
 
+    @property
+    def url(self) -> str:
+        """The figure itself, as a page has it inside."""
+        return f"data:image/svg+xml;base64,{b64encode(self.svg).decode()}"
+
 
 Section = tuple[str, str, list[Table | Picture]]
 """The place of a section in the page, its heading, and what is below it."""
@@ -85,63 +87,43 @@ def p_value(value: float) -> str:
 # -- sentences -------------------------------------------------------------------------------
 
 
-def about(result: SetupResult, score: str) -> str:
-    """Return what was compared, in a sentence or two."""
-    setup, run = result.setup, result.config.get("run", {})
-    length = f", {run['total_timesteps']:,} steps a run" if run else ""
-    sentence = f"{setup.name}: {result.subject}{length}."
-    if setup.compare is None:
-        return sentence
-    treatment, control = map(setup.label, setup.groups[:2])
-    return (
-        f"{sentence} Compares {treatment} with {control}, in pairs of runs with the same seed, by "
-        f"{MEANS[score]} ({setup.measure})."
-    )
-
-
 def provenance(analysis: Analysis) -> str:
-    """Return how many runs are done, how long they took, and of which commits they are."""
+    """Return how many runs are done, and how long they took."""
     done = [record for record in analysis.records if record.state == "done"]
-    commits = Counter(
-        str(record.config["provenance"][-1].get("commit"))
-        for record in done
-        if record.config.get("provenance")
+    hours = sum(one.seconds * one.config.get("ranks", 1) for one in done) / 3600
+    return (
+        f"{len(done)} of {len(analysis.records)} runs are done, {hours:.2f} core-hours."
     )
-    hours = sum(record.seconds * record.config.get("ranks", 1) for record in done)
-    by = [f"{n} of commit {commit}" for commit, n in commits.most_common()]
-    counted = f"{len(done)} of {len(analysis.records)} runs are done"
-    return f"{', '.join([counted, f'{hours / 3600:.2f} core-hours', *by])}."
 
 
-def answer(setup: Setup, verdict: Verdict, score: str) -> str:
-    """Return the primary comparison of a setting in a sentence, with its interval."""
-    pairs, p = verdict.pairs, verdict.p_holm
+def answer(setup: Setup, setting: str, pairs: Pairs, score: str) -> str:
+    """Return the comparison of a setting in a sentence, with its interval."""
     treatment, control = map(setup.label, setup.groups[:2])
     fewest = fewest_pairs(ALPHA / len(setup.settings))
-    if verdict.is_difference:
+    if pairs.p_holm <= ALPHA:
         verb = "raised" if pairs.difference.value > 0 else "lowered"
         result = f"{treatment} {verb} {MEANS[score]}"
     elif len(pairs) < fewest:
         result = f"too few runs to find a difference, which takes {fewest} pairs"
     else:
         result = f"no significant difference in {MEANS[score]}"
-    n_pairs = f"{len(pairs)} of {verdict.n_seeds} pairs"
+    n_pairs = f"{len(pairs)} of {len(setup.seeds)} pairs"
     if len(pairs) < 2:  # which have no interval
-        return f"{setup.name}, {verdict.setting}: {result} ({n_pairs})."
+        return f"{setup.name}, {setting}: {result} ({n_pairs})."
     value, low, high = (f"{x:+.2f}".replace("-", "−") for x in pairs.difference)
-    chance = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+    p = "p < 0.001" if pairs.p_holm < 0.001 else f"p = {pairs.p_holm:.3f}"
     return (
-        f"{setup.name}, {verdict.setting}: {result} ({treatment} − {control}: {value}, 95 % interval "
-        f"{low} to {high}, {chance}, {n_pairs})."
+        f"{setup.name}, {setting}: {result} ({treatment} − {control}: {value}, 95 % interval {low} to "
+        f"{high}, {p}, {n_pairs})."
     )
 
 
 def answers(analysis: Analysis) -> list[str]:
     """Return every comparison's answer."""
     return [
-        answer(result.setup, verdict, analysis.study.primary.score)
+        answer(result.setup, setting, pairs, analysis.study.score)
         for result in analysis.setups
-        for verdict in result.verdicts.values()
+        for setting, pairs in result.pairs.items()
     ]
 
 
@@ -154,11 +136,11 @@ def warnings(analysis: Analysis) -> list[str]:
         n_runs = len(analysis.records)
         notes.append(f"Of {n_runs} runs {', '.join(missing)}: they are in no figure.")
     groups = [group for one in analysis.setups for group in one.groups.values()]
-    fewest = min((len(group.seeds) for group in groups), default=FEW_RUNS)
+    fewest = min((len(group.reached) for group in groups), default=FEW_RUNS)
     if fewest < FEW_RUNS:
         notes.append(
-            f"The smallest group has {fewest} runs. Bands of learning curves of fewer than {FEW_RUNS} "
-            "runs are too narrow: they contain the truth less often than they say."
+            f"The smallest group has {fewest} runs. With fewer than {FEW_RUNS}, intervals contain the "
+            "truth less often than they say where some runs fail."
         )
     for one in analysis.setups:
         name = one.setup.name
@@ -170,9 +152,6 @@ def warnings(analysis: Analysis) -> list[str]:
             notes.append(
                 f"{name}: versions or commits differ between runs, and could change results."
             )
-    diverged = sum(record.diverged > 0 for record in analysis.records)
-    if diverged:
-        notes.append(f"Episodes diverged in some runs ({diverged}): see Runs.")
     return notes
 
 
@@ -185,11 +164,11 @@ def comparisons(result: SetupResult, score: str) -> Table:
     rows = [
         {
             "Setting": setting,
-            "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}",
-            MEANS[score].capitalize(): shown(verdict.pairs.difference, 3),
-            "p": p_value(verdict.p_holm),
+            "Pairs": f"{len(pairs)} of {len(result.setup.seeds)}",
+            MEANS[score].capitalize(): shown(pairs.difference, 3),
+            "p": p_value(pairs.p_holm),
         }
-        for setting, verdict in result.verdicts.items()
+        for setting, pairs in result.pairs.items()
     ]
     note = (
         f"Mean of {treatment} minus {control} in runs of the same seed, with a 95 % bootstrap interval "
@@ -204,12 +183,11 @@ def measures(result: SetupResult) -> Table:
     """Return the mean scores of each group, with intervals."""
     rows = []
     for (setting, name), group in result.groups.items():
-        means = {
-            MEANS[score].capitalize(): shown(statistics.mean(values, group.counts))
-            for score, values in group.scores.items()
-        }
         row = {"Setting": setting, "Group": result.setup.label(name)}
-        rows.append({**row, "Runs": str(len(group.seeds)), **means})
+        row["Runs"] = str(len(group.reached))
+        for score, mean in group.means.items():
+            row[MEANS[score].capitalize()] = shown(mean)
+        rows.append(row)
     note = (
         "Mean of the runs with 95 % interval. Mean success: over the run; "
         "converged: the level where a run spends most of its epochs; tested: at its end, without "
@@ -220,25 +198,16 @@ def measures(result: SetupResult) -> Table:
 
 
 def runs(analysis: Analysis) -> Table:
-    """Return every run: its seed, how it ended and what it reached."""
+    """Return every run: its name, how it ended and what it reached."""
     rows = []
     for one in analysis.setups:
         for record in one.records:
             run, group = record.run, one.groups.get(record.run.place[1:])
-            row = {
-                "Set-up": run.setup,
-                "Setting": run.setting,
-                "Group": one.setup.label(run.group),
-                "Seed": str(run.seed),
-                "State": record.state,
-                "Steps": record.rows[-1]["env_steps"] if record.rows else "0",
-            }
+            steps = record.rows[-1]["env_steps"] if record.rows else "0"
+            row = {"Run": run.name, "State": record.state, "Steps": steps}
+            reached = group.reached.get(run.seed, {}) if group else {}
             for score, mean in MEANS.items():
-                known = (
-                    zip(group.seeds, group.scores[score], strict=True) if group else ()
-                )
-                row[mean.capitalize()] = number(dict(known).get(run.seed, math.nan))
-            row["Diverged episodes"] = str(record.diverged)
+                row[mean.capitalize()] = number(reached.get(score, math.nan))
             rows.append({**row, "Why it failed": record.reason})
     return Table("runs", "Every run", rows)
 
@@ -251,9 +220,9 @@ def sections(analysis: Analysis) -> list[Section]:
     report: list[Section] = []
     for one in analysis.setups:
         name, parts = one.setup.name, list[Table | Picture]()
-        if one.verdicts:
-            parts.append(comparisons(one, analysis.study.primary.score))
         if one.groups:
+            if one.pairs:
+                parts.append(comparisons(one, analysis.study.score))
             image = figures.curves(one)
             parts.append(Picture(f"{name}_curves", figures.title(one), image))
             parts.append(measures(one))
@@ -271,27 +240,18 @@ def write(analysis: Analysis, folder: Path) -> Path:
             else:
                 files[f"figures/{part.name}.svg"] = part.svg
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("tactilerl.study", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
+        loader=jinja2.PackageLoader("tactilerl.study", "."), autoescape=True
     )
-    environment.filters["base64"] = lambda data: b64encode(data).decode()
-    score = analysis.study.primary.score
     html = environment.get_template(TEMPLATE).render(
         study=analysis.study,
-        about=[about(result, score) for result in analysis.setups],
         provenance=provenance(analysis),
         answers=answers(analysis),
         warnings=warnings(analysis),
         sections=report,
     )
     files["report.html"] = html.encode()
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in ("tables", "figures"):
-        make_folder(folder / name)
-    for name in files:
-        require_file(folder / name)
     for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         with replacing(folder / name) as file:
             file.write(data)
     return folder / "report.html"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from ..algos.learner import Learner
@@ -16,13 +15,6 @@ from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
 from ..errors import extra
 from .console import about
-
-FAULT_NOTES = {  # of a run that has had such faults
-    "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
-    "warnings": "the simulator warned {:.0f} times",
-}
-
-BLOCKS, CURVE_WIDTH = "▁▂▃▄▅▆▇█", 50  # of a learning curve: from 0 to 1, and characters
 
 
 class EpochLog:
@@ -44,7 +36,6 @@ class EpochLog:
         )
         self.total, self._first_step = learner.total_timesteps, learner.env_steps
         self._started = time.perf_counter()
-        self._faults = dict.fromkeys(FAULTS, 0.0)
         self._events: Any = None
         if events is not None and comm.rank == 0:
             # Events of another process are hidden: its last ones may be missing.
@@ -55,17 +46,12 @@ class EpochLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the events, and print how often something went wrong."""
+        """Close the events."""
         if self._events is not None:
             self._events.close()
-        for fault, times in self._faults.items():
-            if times:
-                self.console.print(f"warning: {FAULT_NOTES[fault].format(times)}")
 
     def epoch(self, row: Mapping[str, Any]) -> None:
         """Print one row of the progress table."""
-        for fault in self._faults:
-            self._faults[fault] += row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0)
         steps, text = row["env_steps"], f"success {_percent(row['success_rate'])}  "
         if "test_success_rate" in row:
             text += f"test {_percent(row['test_success_rate'])}  "
@@ -74,6 +60,9 @@ class EpochLog:
         spent = time.perf_counter() - self._started
         left = spent * max(0, self.total - steps) / (steps - self._first_step)
         text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s  "
+        for fault in FAULTS:
+            if times := row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0):
+                text += f"{fault} {times:.0f}  "
         done = f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}"
         self.console.print(f"{done}  {text}{about(left)} left")
         self.write_events(row)
@@ -88,18 +77,6 @@ class EpochLog:
                 steps = int(row["env_steps"])
                 self._events.add_scalar(f"train/{column}", number, steps)
         self._events.flush()
-
-
-def learning_curve(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the success rates of a progress table as a line of blocks, "" where it has none."""
-    rates = np.array([float(row.get("success_rate") or math.nan) for row in rows])
-    rates = rates[~np.isnan(rates)]
-    if not len(rates):
-        return ""
-    parts = np.array_split(rates, min(len(rates), CURVE_WIDTH))
-    means = [float(part.mean()) for part in parts]
-    blocks = "".join(BLOCKS[round(mean * (len(BLOCKS) - 1))] for mean in means)
-    return f"{blocks}  success {means[0]:.0%} to {means[-1]:.0%}"
 
 
 def _percent(value: float) -> str:

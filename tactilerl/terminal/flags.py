@@ -55,17 +55,16 @@ def parse_parts(
     kinds = [(name, type(part)) for name, part in parts.items()]
     options = dataclasses.make_dataclass("Options", kinds)
     read: Any = parse(options, args, prog, about, options(**parts))
-    scene: Any = parts.get("scene")
-    if scene is None or not (scene.sensor or read.scene.sensor):
-        return read
-    if (read.scene.sensor, read.scene.touch) == (scene.sensor, scene.touch):
-        return read
-    deciding = "sensor", "touch", "touch_rule", "control_dt"
-    with input_errors():
-        known = sensors.choose(
-            scene, {name: getattr(read.scene, name) for name in deciding}
-        )
-    return parse(options, args, prog, about, options(**{**parts, "scene": known}))
+    if "scene" in parts:
+        with input_errors():
+            read.scene = sensors.choose(parts["scene"], given(read.scene, args))
+    return read
+
+
+def given(part: Any, args: Sequence[str]) -> dict[str, Any]:
+    """Return those fields of a dataclass that was read from `args` whose flags are among them."""
+    flags = {arg.partition("=")[0].replace("_", "-") for arg in args}
+    return {k: v for k, v in vars(part).items() if f"--{k}".replace("_", "-") in flags}
 
 
 def peek(args: Sequence[str], *names: str) -> dict[str, str]:

@@ -67,7 +67,6 @@ class TestTrain:
         assert "6 minibatches of about 20 transitions, 2 passes: 12 updates" in out
         assert "epoch    2" in out
         assert "tactilerl evaluate run" in out
-        assert "Learning curve" not in out  # no success to show
         assert "tactilerl render" not in out
         config = json.loads(Path("run/config.json").read_text())
         assert config["learner"]["gae_lambda"] == 0.97
@@ -108,7 +107,7 @@ class TestTrain:
         rows = progress(Path("run"))
         counted = sum(float(row["warnings"]) + float(row.get("test_warnings", 0)) for row in rows)
         assert counted > 0
-        assert f"the simulator warned {counted:.0f} times" in out
+        assert sum(map(int, re.findall(r"warnings (\d+)", out))) == counted
         evaluate = ["evaluate", "run", "--episodes", "4", "--stochastic"]
         result = json.loads(printed(capsys, [*evaluate, "--json"]))
         assert result["warnings"] > 0
@@ -274,7 +273,7 @@ class TestBadInput:
             (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
             (["train", "--env", "../x:Id"], ["found '../x', which cannot be imported"]),
             ([*TOY, "--seed", "9" * 5000], ["seed"]),
-            ([*TOY, "--out", "x" * 5000], ["name too long"]),
+            ([*TOY, "--out", "x" * 300], ["name too long"]),
             (["train", "--out", "a\0b"], ["out: found", "allowed a string"]),
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
             (["train", "--touch-rule", "smell"], ["found 'smell', allowed: skin, contact, force"]),

@@ -55,7 +55,6 @@ def test_what_exists_stays_unless_it_is_to_be_overwritten(name, capsys):
     path.parent.mkdir(parents=True, exist_ok=True)
     for put, flags in (
         (lambda: path.write_text("mine"), ()),
-        (lambda: path.symlink_to(Path("victim").resolve()), ("--overwrite",)),
         (lambda: os.mkfifo(path), ("--overwrite",)),
     ):
         put()

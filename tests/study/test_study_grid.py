@@ -11,7 +11,7 @@ from one_line import fails_with
 from tiny_study import GOOD, write
 
 ROOT = Path(__file__).resolve().parents[2]
-TOO_MANY = "\n".join(f"flag{i} = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]" for i in range(12))
+SIZES = "batch_size = [16, 32]"
 
 
 def read(tmp_path, text):
@@ -39,36 +39,21 @@ class TestGrid:
         (ppo,) = (run.config().learner for run in read(tmp_path, text).runs() if "passes-4" in run.name)
         assert (ppo.exploration, ppo.hidden, ppo.n_passes) == ("learned", (16, 16), 4)
 
-    @pytest.mark.parametrize(
-        "change",
-        [
-            lambda data: data.update(name="../x"),
-            lambda data: data.update(setups=[]),
-            lambda data: data["setups"][0].update(name="../../../pwn"),
-            lambda data: data["setups"][0].update(seeds=[True]),
-            lambda data: data["setups"][0].update(flags={"out": "/"}),
-            lambda data: data["setups"][0].update(compare=3),
-            lambda data: data["setups"][0]["compare"].update(flag=None),
-            lambda data: data["setups"][0].pop("seeds"),
-        ],
-    )
-    def test_a_study_of_somebody_else_is_checked_as_a_study_file_is(self, tmp_path, capsys, change):
-        data = json.loads(json.dumps(read(tmp_path, GOOD).as_dict()))
-        change(data)
-        (tmp_path / "study.json").write_text(json.dumps(data))
-        fails_with(capsys, ["study", "status", tmp_path], f"tactilerl: error: {tmp_path}/study.json: ")
-
     def test_dictionary_and_back(self, tmp_path):
         study = read(tmp_path, GOOD)
         data = study.as_dict()
         assert grid.from_dict(data) == study
-        assert study.primary.score == "area"
-        head = 'primary.score = "last"\n'
+        assert study.score == "area"
+        head = 'score = "last"\n'
         decided = read(tmp_path, head + GOOD[: GOOD.index("[setups.ppo]")])
         assert grid.from_dict(json.loads(json.dumps(decided.as_dict()))) == decided
-        assert decided.primary.score == "last"
-        old = {**data, "primary": {"score": "final"}}  # as 0.5.0 wrote it
-        assert grid.from_dict(old).primary.score == "last"
+        assert decided.score == "last"
+        old = {
+            "name": "x",
+            "setups": data["setups"],
+            "primary": {"score": "final"},
+        }  # as 0.5.0 wrote it
+        assert grid.from_dict(old).score == "last"
 
     @pytest.mark.parametrize("name", sorted(path.stem for path in ROOT.glob("studies/*.toml")))
     def test_the_studies_of_the_project_can_be_configured(self, name):
@@ -86,18 +71,15 @@ class TestBadFiles:
             ('name = "toy"', "", ["name", "None"]),
             ('name = "toy"', "name = ", ["not valid TOML", "line 2"]),
             ('name = "toy"', 'name = "toy"\ngird = 1', ["gird: unknown; did you mean grid?"]),
-            ('name = "toy"', 'name = "toy"\nprimary.score = "best"', ["primary.score", "best"]),
-            ('name = "toy"', 'name = "toy"\nprimary = "area"', ["primary", "table"]),
-            ('name = "toy"', 'name = "toy"\nlooks.pairs = [2, 3]', ["looks"]),
-            ("batch-size = [16, 32]", "batch-size = []", ["found 0 runs"]),
-            ("batch-size = [16, 32]", "batch-size = [16, 16]", ["2 runs would be called"]),
-            ("batch-size = [16, 32]", "batch-sise = [16, 32]", ["reach", "batch_sise"]),
-            ("batch-size = [16, 32]", "batch-size = [16, 0]", ["batch_size-0", "batch_size: found 0"]),
-            ("batch-size = [16, 32]", "workers = [1, 2]", ["setups.reach: workers", "leave it out"]),
-            ('"0-1, 7"', '"9-0"', ["seed", "9-0"]),
+            ('name = "toy"', 'name = "toy"\nscore = "best"', ["score: found 'best'", "area, last"]),
+            (SIZES, "batch_size = []", ["setups.reach: batch_size: found no values"]),
+            (SIZES, "batch_size = [16, 16]", ["2 runs would be called"]),
+            (SIZES, "batch-size = [16, 32]", ["batch-size: unknown; did you mean batch_size?"]),
+            (SIZES, "batch_size = [16, 0]", ["batch_size-0", "batch_size: found 0"]),
+            (SIZES, "workers = [1, 2]", ["setups.reach: workers", "leave it out"]),
+            ('"0-1, 7"', '"0-1, x"', ["seed: found ' x', expected numbers and ranges"]),
             ('"0-1, 7"', '"0-3,2"', ["2 runs would be called"]),
             ('"0-1, 7"', "[4294967296]", ["seed", "4294967296"]),
-            ('"0-1, 7"', '"0-100000"', ["seed", "0-100000"]),
             ("polyak = [0.95, 0.9]", "polyak = [0.95, 0.8]", ["compare: polyak", "0.8"]),
             ("polyak = [0.95, 0.9]", "polyak = [0.9, 0.9]", ["compare", "[0.9, 0.9]", "treatment"]),
             ("polyak = [0.95, 0.9]", "layout = [1, 2]", ["compare: found 'layout'", "batch_size"]),
@@ -106,12 +88,7 @@ class TestBadFiles:
             ('algo = "ddpg_her"', 'algo = "ddpg_her"\nseed = 3', ["setups.reach: seed", "grid"]),
             ('"test_success_rate"', '"mean_return"', ["measure", "mean_return", "success_rate"]),
             ("[setups.reach]", "[setups.'../../pwn']", ["setups.../../pwn", "word"]),
-            ("[setups.reach]", f"[setups.{'x' * 300}]", ["up to 240 bytes"]),
-            ("batch-size = [16, 32]", "device = ['" + "x" * 300 + "']", ["run", "up to 240 bytes"]),
-            ("batch-size = [16, 32]", TOO_MANY, ["runs", "allowed", "10,000"]),
-            ('algo = "ddpg_her"', '"--help" = true', ["reach", "__help"]),
-            ("batch-size = [16, 32]", "batch-size = [{a = 1}]", ["batch_size", "a table"]),
-            ("batch-size = [16, 32]", "batch-size = " + "[" * 5000, ["not valid TOML"]),
+            (SIZES, "batch_size = [{a = 1}]", ["batch_size", "a table"]),
         ],
     )  # fmt: skip
     def test_one_line_and_nothing_begun(self, tmp_path, capsys, old, new, words):

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import sys
-import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,11 @@ LOADED = """new Promise((go) => {
 })"""
 
 
+@pytest.fixture(autouse=True)
+def _few_resamples(monkeypatch):
+    monkeypatch.setattr(analysis.analyse, "__defaults__", (RESAMPLES,))
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return make_study(tmp_path_factory.mktemp("study") / "made-up")
@@ -50,7 +54,7 @@ def contents(path):
 
 
 def reported(capsys, path):
-    return printed(capsys, ["study", "report", path, "--resamples", "100", "--overwrite"])
+    return printed(capsys, ["study", "report", path, "--overwrite"])
 
 
 def parts(result, kind):
@@ -62,13 +66,13 @@ def rows(result, name):
 
 
 def by_seed(group, score):
-    return dict(zip(group.seeds, group.scores[score], strict=True))
+    return {seed: reached[score] for seed, reached in group.reached.items()}
 
 
 class TestNumbers:
     def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path, result):
         assert rows(result, "pybullet_measures")[0]["Tested success"].startswith("–")
-        folder = make_study(tmp_path / "s", PAPER_LIKE + '[primary]\nscore = "test"\n', n_seeds=2)
+        folder = make_study(tmp_path / "s", 'score = "test"\n' + PAPER_LIKE, n_seeds=2)
         runs = [run for run in folder.study().runs() if run.setup == "pybullet"]
         for run in runs[1:]:  # the first was made without
             table = folder.run_dir(run).table
@@ -87,19 +91,19 @@ class TestNumbers:
         one = result.setups[0]
         arms = [by_seed(one.groups["layout 2", arm], "area") for arm in ("on", "off")]
         gaps = np.array([arms[0][seed] - arms[1][seed] for seed in (0, 1, 2, 3)])
-        found = one.verdicts["layout 2"]
-        assert found.pairs.seeds == [0, 1, 2, 3]
-        assert found.pairs.difference.value == pytest.approx(gaps.mean())
-        assert found.pairs.difference.low < gaps.mean() < found.pairs.difference.high
-        assert found.pairs.p_value == pytest.approx(0.125)  # four signs alike: 2 of 16 ways
-        assert found.p_holm >= found.pairs.p_value
+        found = one.pairs["layout 2"]
+        assert found.seeds == [0, 1, 2, 3]
+        assert found.difference.value == pytest.approx(gaps.mean())
+        assert found.difference.low < gaps.mean() < found.difference.high
+        assert found.p_value == pytest.approx(0.125)  # four signs alike: 2 of 16 ways
+        assert found.p_holm >= found.p_value
 
     def test_a_pair_counts_only_where_both_runs_are_done(self, tmp_path):
         folder = make_study(tmp_path / "s", n_seeds=3)
         lost = next(r for r in folder.study().runs() if (r.group, r.seed) == ("off", 1))
         fail(folder, lost)
         result = analysis.analyse(*records.load(folder.path), 100)
-        assert result.setups[0].verdicts[lost.setting].pairs.seeds == [0, 2]
+        assert result.setups[0].pairs[lost.setting].seeds == [0, 2]
         assert any("2 of 3 pairs" in said for said in report.answers(result))
 
     def test_one_pair_has_no_interval(self, tmp_path):
@@ -113,10 +117,9 @@ class TestFiles:
         path = tmp_path / "one.tar.gz"
         assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
         first = path.read_bytes()
-        records.collect(folder.path, out=path)
+        records.collect(folder.path, path)
         assert path.read_bytes() == first
-        args = ["--out", tmp_path / "from_file", "--resamples", RESAMPLES]
-        said = printed(capsys, ["study", "report", path, *args])
+        said = printed(capsys, ["study", "report", path, "--out", tmp_path / "from_file"])
         assert "smallest group has 4 runs" in said
         assert "pybullet, layout 1: too few runs to find a difference" in said
         assert contents(tmp_path / "from_file") == contents(written.parent)
@@ -136,50 +139,42 @@ class TestFiles:
             data = json.loads(file.read_text())
             data["run"]["out"] = str(file.parent)
             file.write_text(json.dumps(data))
-        place = StudyFiles(copy).run_dir(runs[0]).path
-        fail(StudyFiles(copy), runs[0], f"{place}/checkpoint.pt: damaged")
-        path = records.collect(copy, out=tmp_path / "c.tar.gz")
+        fail(StudyFiles(copy), runs[0], "checkpoint.pt: damaged")
+        path = tmp_path / "c.tar.gz"
+        records.collect(copy, path)
         assert "secret" not in gzip.decompress(path.read_bytes()).decode()
         assert records.load(path) == records.load(copy)
-        assert f"{runs[0].name}/checkpoint.pt: damaged" == records.load(path)[1][0].reason
+        assert records.load(path)[1][0].reason == "checkpoint.pt: damaged"
 
 
 class TestWarnings:
-    def test_failed_unfinished_diverged_and_mixed_versions_are_said(self, tmp_path, capsys):
+    def test_failed_unfinished_and_mixed_versions_are_said(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=2)
         runs = folder.study().runs()
         fail(folder, runs[0], "diverged: a reward is nan")
         interrupt(folder, runs[1])
         config = folder.run_dir(runs[2]).config_file
         config.write_text(config.read_text().replace('"torch": "', '"torch": "0.'))
-        progress = folder.run_dir(runs[3]).table
-        progress.write_text(progress.read_text().replace(",0.0,100.0", ",1.0,100.0"))
         folder.run_dir(runs[4]).config_file.write_text("{")
         out = reported(capsys, folder.path)
         assert "Of 24 runs 1 failed, 2 interrupted" in out
         assert "pybullet: versions or commits differ" in out
-        assert "diverged in some runs (1)" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
-        assert rows[1].startswith("pybullet,layout 1,touch,0,failed")
+        assert rows[1].startswith(f"{runs[0].name},failed,")
         assert rows[1].endswith("diverged: a reward is nan")
         assert "interrupted" in rows[2]
-        assert "config.json: damaged" in rows[5]
+        assert f"runs/{runs[4].name}: damaged" in rows[5]
 
-    @pytest.mark.parametrize("tail", ["26,30000,0.5", "26,30000,0.5,0.5,0,100,7\n", '"', "\0\n"])
-    def test_a_damaged_end_of_a_progress_table_is_left_out(self, tmp_path, tail):
+    def test_a_row_that_was_cut_off_is_left_out(self, tmp_path):
         folder = make_study(tmp_path / "s", n_seeds=1)
         file = folder.run_dir(folder.study().runs()[0]).table
-        file.write_text(file.read_text() + tail)
-        _, all_records = records.load(folder.path)
-        assert [len(record.rows) for record in all_records] == [25] * 12
-        assert records.load(records.collect(folder.path))[1] == all_records
+        file.write_text(file.read_text() + "26,30000,0.5")
+        assert [len(record.rows) for record in records.load(folder.path)[1]] == [25] * 12
 
     def test_a_measure_that_no_run_has(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=1)
         for file in folder.path.rglob("progress.csv"):
             file.write_text(file.read_text().replace("test_success_rate", "another"))
-        _, all_records = records.load(folder.path)
-        assert "found no column test_success_rate" in all_records[-1].reason
         assert "mujoco: no finished run with a test_success_rate" in reported(capsys, folder.path)
 
     def test_what_is_no_study(self, folder, tmp_path, capsys):
@@ -191,16 +186,7 @@ class TestWarnings:
         old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
         fails_with(capsys, ["study", "status", old], "not a collected study")
 
-    @pytest.mark.parametrize("size", [-512, 30_000_001])
-    def test_collected_files_that_have_no_end(self, tmp_path, capsys, size):
-        """Small ones, which would be read forever or fill the memory."""
-        entry = tarfile.TarInfo("study.json")
-        entry.size = size
-        packed = tmp_path / "c.tar.gz"
-        packed.write_bytes(gzip.compress(entry.tobuf(tarfile.GNU_FORMAT) + bytes(max(size, 512))))
-        fails_with(capsys, ["study", "report", packed], f"study.json: found {size:,} bytes")
-
-    @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
+    @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}'])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
         (tmp_path / "study.json").write_bytes(content)
         (tmp_path / "c.tar.gz").write_bytes(content)
@@ -238,10 +224,6 @@ class TestForReaders:
     @needs_chromium
     def test_no_word_of_a_report_is_wider_than_a_phone(self, tmp_path):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        for file in folder.path.glob("runs/*/config.json"):
-            made = json.loads(file.read_text())
-            made["provenance"][0]["commit"] = 40 * "a" + "-dirty"
-            file.write_text(json.dumps(made))
         page = report.write(analysis.analyse(*records.load(folder.path), 100), tmp_path / "r")
         browser = Browser(page.as_uri(), 320, LOADED)
         try:

@@ -2,17 +2,18 @@
 
 import numpy as np
 import pytest
-from tactilerl.study import pairs, records, report
+from tactilerl.study import analysis, records, report
 from tactilerl.study.grid import Contrast, Run, Setup
 
 
 class TestAnswers:
     grid, contrast = {"layout": [1, 2], "touch": ["on", "off"]}, Contrast("touch", "on", "off")
-    setup = Setup("one", {}, grid, [0], contrast, "success_rate")
+    setup = Setup("one", {}, grid, [*range(12)], contrast, "success_rate")
 
-    def verdict(self, gap, p_holm, n=9):
-        ones = pairs.Pairs([*range(n)], np.ones(n), np.zeros(n), pairs.Estimate(*gap), p_holm)
-        return pairs.Verdict("layout 2", ones, 12, p_holm)
+    def said(self, gap, p_holm, n=9, score="area"):
+        difference = analysis.Estimate(*gap)
+        pairs = analysis.Pairs([*range(n)], np.ones(n), np.zeros(n), difference, p_holm, p_holm)
+        return report.answer(self.setup, "layout 2", pairs, score)
 
     @pytest.mark.parametrize(
         ("gap", "p", "n", "words"),
@@ -24,13 +25,12 @@ class TestAnswers:
         ],
     )
     def test_each_kind_of_answer(self, gap, p, n, words):
-        said = report.answer(self.setup, self.verdict(gap, p, n), "area")
+        said = self.said(gap, p, n)
         assert said.startswith(f"one, layout 2: {words}")
         assert said.endswith(f"p = {p:.3f}, {n} of 12 pairs).")
 
     def test_a_bound_below_zero_keeps_its_sign(self):
-        said = report.answer(self.setup, self.verdict((0.1, -0.02, 0.2), 1e-4), "last")
-        assert "−0.02 to +0.20, p < 0.001" in said
+        assert "−0.02 to +0.20, p < 0.001" in self.said((0.1, -0.02, 0.2), 1e-4, score="last")
 
 
 class TestCommonRange:
@@ -45,8 +45,8 @@ class TestCommonRange:
     def test_it_begins_and_ends_where_all_have_a_rate(self):
         long = self.record([0, 10, 20, 30, 40], [0, 0, 0.5, 1, 1])
         short = self.record([5, 15, 25], [0.2, 0.4, 0.6])
-        assert pairs.span([long, short]) == (5, 25)
-        ((area,), (other,)) = (list(x.values()) for x in pairs.scored("area", [long], [short]))
+        assert analysis.span([long, short]) == (5, 25)
+        ((area,), (other,)) = (list(x.values()) for x in analysis.scored("area", [long], [short]))
         # From 5 to 25: 0 up to 10, then up to 0.5 at 20, and 0.75 at 25.
         assert area == pytest.approx((0 + 0.25 * 10 + 0.625 * 5) / 20)
         assert other == pytest.approx(0.4)
@@ -56,9 +56,9 @@ class TestCommonRange:
         same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
         short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
         for score in ("area", "last", "converged"):
-            a, b = (pairs.scored(score, [one], [short]) for one in same)
+            a, b = (analysis.scored(score, [one], [short]) for one in same)
             assert a[0][1] == b[0][1] == a[1][2]
 
     def test_runs_without_a_common_step_are_taken_at_their_ends(self):
         one, other = self.record([10], [0.3]), self.record([20], [0.6], 1)
-        assert pairs.scored("area", [one], [other]) == [{0: 0.3}, {1: 0.6}]
+        assert analysis.scored("area", [one], [other]) == [{0: 0.3}, {1: 0.6}]
