@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
 from .learner import Counts, Learner, LearnerConfig, RewardScale, restore
-from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
+from .networks import MLP, flushed_denormals, start_orthogonal
 from .policy import (
     FlatInputs,
     Noise,
@@ -40,14 +40,12 @@ from .rollout import (
     discounted,
     finite,
     largest_return,
-    require_progress,
-    require_transitions,
     summary,
+    usable,
 )
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
-MAX_GROWTH = 10.0  # of the values of a new critic; beyond returns, too, it has diverged
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -55,7 +53,7 @@ MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside fl
 class PPOConfig(LearnerConfig):
     """Hyperparameters; defaults are the paper's (Methods, PyBullet set-up) unless noted."""
 
-    hidden: tuple[int, ...] = (256, 256, 256)
+    hidden: tuple[Count, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
     actor_lr: Positive32 = 3e-4
     """Learning rate of the actor (Adam)."""
@@ -115,7 +113,6 @@ class PPOConfig(LearnerConfig):
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
-        require_hidden(self.hidden)
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError(
                 "n_minibatches and minibatch_size: found both, allowed one of them; "
@@ -298,9 +295,8 @@ class PPO(Learner):
     policy_parts = ("actor", "gaussian", "obs_stats")
     undoable = ("actor", "gaussian", "actor_adam", "std_adam")
     trained = ("critic", "actor_adam", "std_adam", "critic_adam")
-    saved = (*policy_parts, *trained, "silence", "rewards")
-    bounds = ("first_values", "lowest_return", "highest_return")
-    plain = ("env_steps", "epochs", "before_update", *bounds)
+    saved = (*policy_parts, *trained, "silence", "reward_scale")
+    plain = ("env_steps", "epochs", "before_update")
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
@@ -325,9 +321,7 @@ class PPO(Learner):
         self.epochs, self.episodes = 0, list[Episode]()
         self.silence = Silence()
         self.before_update: dict[str, Any] = {}  # states of `undoable`
-        self.rewards = RewardScale(config.normalize_rewards)
-        self.lowest_return = self.highest_return = 0.0  # of all episodes, 0 included
-        self.first_values = 0.0  # how far those of the new critic reach
+        self.reward_scale = RewardScale(config.normalize_rewards)
 
     def describe(self) -> str:
         config = self.config
@@ -360,13 +354,12 @@ class PPO(Learner):
             self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
 
     def wants_more(self, episodes: list[Episode]) -> bool:
-        """Return whether an epoch has too few steps; episodes without one count as one."""
-        require_progress(episodes)
-        return sum(max(1, len(e)) for e in episodes) < self.config.steps_per_epoch
+        """Return whether an epoch has too few steps."""
+        return sum(map(len, usable(episodes))) < self.config.steps_per_epoch
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Keep the epoch's episodes to learn from; return counts and means."""
-        self.episodes = require_transitions(episodes)
+        self.episodes = usable(episodes)
         # So an epoch learns with the key after the one that it was played with.
         self.epochs += 1
         stats = summary(episodes)
@@ -408,7 +401,7 @@ class PPO(Learner):
             "kl": losses.kl.mean().item(),
             "clip_fraction": losses.clip_fraction.mean().item(),
         }
-        self.require_finite([*figures.values()], self.actor, self.gaussian, self.critic)
+        self.check_learned([*figures.values()], self.actor, self.gaussian, self.critic)
         explained = explained_variance(batch.values, batch.returns)
         return figures | self.after_update(explained, verdict, len(value_losses))
 
@@ -512,7 +505,7 @@ class PPO(Learner):
     def rescale(self) -> float:
         """Raise the scale of rewards to the largest return; return the factor for critics."""
         gamma = self.config.gamma
-        return self.rewards.grow(
+        return self.reward_scale.grow(
             max(largest_return(e.rewards, gamma) for e in self.episodes)
         )
 
@@ -523,49 +516,19 @@ class PPO(Learner):
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        self._warn_of_divergence(predicted * self.rewards.unit)
         # No value of a last observation is ever learned. Where it is like no other, as with time in
         # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
             goes_on = self._goes_on(episode)
             last_value = np.clip(each[-1], lowest, highest) if goes_on else 0.0
-            rewards = np.array(episode.rewards) / self.rewards.unit
+            rewards = np.array(episode.rewards) / self.reward_scale.unit
             advantages.append(
                 gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
             )
         advantage = np.concatenate(advantages)
         returns = finite(advantage + predicted, "a return")
         return normalize(advantage), returns, predicted
-
-    def _warn_of_divergence(self, values: Array) -> None:
-        """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
-
-        Where more would have followed an episode, it could have been the largest reward forever. New
-        critics are off by what their weights give them, and nothing is known before the first reward.
-        """
-        gamma, unit = self.config.gamma, self.rewards.unit
-        self.first_values = self.first_values or float(np.abs(values).max()) / unit
-        self.rewards.see(np.concatenate([e.rewards for e in self.episodes]))
-        bounds = self.rewards.lowest, self.rewards.highest
-        for episode, extreme in itertools.product(self.episodes, bounds):
-            rest = 0.0
-            if extreme and self._goes_on(episode):
-                rest = extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
-            returns = discounted([*episode.rewards, rest], gamma)
-            self.lowest_return = min(self.lowest_return, *returns)
-            self.highest_return = max(self.highest_return, *returns)
-        low, high = self.lowest_return, self.highest_return
-        margin = high - low + MAX_GROWTH * self.first_values * self.rewards.unit
-        if (
-            low < high
-            and not low - margin <= values.min() <= values.max() <= high + margin
-        ):
-            self.warn_once(
-                "values",
-                f"the critic's values reach from {values.min():.3g} to {values.max():.3g}, but "
-                f"returns of the episodes seen lie between {low:.3g} and {high:.3g}: it has diverged",
-            )
 
     def _goes_on(self, episode: Episode) -> bool:
         """Return whether more would have followed: always where the physics diverged."""

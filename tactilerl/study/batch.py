@@ -304,8 +304,8 @@ class _Training:
                 singles.append(algorithm(config.learner, seat, *options))
         about["worlds"] = env.num_envs
         for run, config, one in zip(batch.runs, configs, singles, strict=True):
-            checkpoint = Checkpoint(files.run_dir(run), config, one, alone)
-            epoch = training.begin(checkpoint, about)
+            checkpoint = Checkpoint(files.run_dir(run), one, alone)
+            epoch = training.begin(checkpoint, config, about)
             self.members.append(_Member(run, _label(config), checkpoint, epoch))
         self.learner = learners.BATCHED[algorithm](singles, env)
         self.n_test_episodes = configs[0].run.n_test_episodes

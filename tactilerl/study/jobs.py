@@ -121,7 +121,7 @@ def _require_same(record: Record, wanted: RunConfig) -> None:
             f"total_timesteps: found {found}, by default, and {steps} in this run; give it in the "
             "study file"
         )
-    if difference := made.difference(wanted.identity()):
+    if difference := made.difference(wanted):
         hint = "give this study another --out, or move that folder away"
         raise InputError(f"{difference}; {hint}")
 

@@ -141,8 +141,8 @@ class StudyFiles:
 
         config = parsed(f"{name}/config.json", _config, dict[str, Any]())
         is_begun = bool(config or problems)
-        table, nothing = f"{name}/progress.csv", (list[Row](), "")
-        rows, cut = parsed(table, lambda data: parse(data.decode()), nothing)
+        table = f"{name}/progress.csv"
+        rows = parsed(table, lambda data: parse(data.decode()), list[Row]())
         if rows and run.measure not in rows[0]:
             problems.append(f"{table}: found no column {run.measure}")
         failure = parsed(
@@ -158,7 +158,7 @@ class StudyFiles:
             state = "running"
         elif failure:
             state = "failed"
-        reason = next(filter(None, [failure, *problems, cut]), "")
+        reason = next(filter(None, [failure, *problems]), "")
         return Record(run, state, reason, config, rows)
 
     def is_running(self, run: Run) -> bool:
