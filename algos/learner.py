@@ -249,6 +249,11 @@ def second_thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, initializer=set_up)
 
 
+def states(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return copies of the states of parts, by name."""
+    return copy.deepcopy({name: part.state_dict() for name, part in parts.items()})
+
+
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
     """Put back parts, by name, of a learner's state."""
     for name, part in parts.items():

@@ -7,7 +7,6 @@ PPO-for-Beginners (Yu 2023), the code that the paper used: whole episodes, GAE w
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -21,7 +20,14 @@ from scipy.special import betaln
 from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
-from .learner import Counts, Learner, LearnerConfig, RewardScale, restore
+from .learner import (
+    Counts,
+    Learner,
+    LearnerConfig,
+    RewardScale,
+    restore,
+    states,
+)
 from .networks import MLP, flushed_denormals, start_orthogonal
 from .policy import (
     FlatInputs,
@@ -293,7 +299,6 @@ class PPO(Learner):
     """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    undoable = ("actor", "gaussian", "actor_adam", "std_adam")
     trained = ("critic", "actor_adam", "std_adam", "critic_adam")
     saved = (*policy_parts, *trained, "silence", "reward_scale")
     plain = ("env_steps", "epochs", "before_update")
@@ -320,7 +325,7 @@ class PPO(Learner):
         self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
         self.epochs, self.episodes = 0, list[Episode]()
         self.silence = Silence()
-        self.before_update: dict[str, Any] = {}  # states of `undoable`
+        self.before_update: dict[str, Any] = {}  # states of `undoable`, by name
         self.reward_scale = RewardScale(config.normalize_rewards)
 
     def describe(self) -> str:
@@ -474,14 +479,18 @@ class PPO(Learner):
             losses.append(loss.detach())
         return losses
 
+    @property
+    def undoable(self) -> dict[str, Any]:
+        """Parts of the learner, by name, that an undone update puts back."""
+        names = "actor", "gaussian", "actor_adam", "std_adam"
+        return {name: getattr(self, name) for name in names}
+
     def _keep_or_undo(self, verdict: Verdict) -> None:
         """Keep the actor before an update that may have to be undone, or go back to the one kept."""
-        parts = {name: getattr(self, name) for name in self.undoable}
         if verdict == "undo":
-            restore(parts, self.before_update)
+            restore(self.undoable, self.before_update)
         elif verdict == "learn" and self.silence.can_undo:
-            states = {name: part.state_dict() for name, part in parts.items()}
-            self.before_update = copy.deepcopy(states)
+            self.before_update = states(self.undoable)
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
