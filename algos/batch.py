@@ -182,6 +182,7 @@ class BatchLearner:
     of its own, `i` W to `(i + 1)` W, all at once; one that has enough episodes waits for the others.
     """
 
+    networks: Sequence[Networks]
     own: list[Tensor]
     """Places of what a run's own learner keeps in whole observations."""
 
@@ -212,7 +213,7 @@ class BatchLearner:
         self.build()
 
     def build(self) -> None:
-        """Stack the learners' networks; set `own`."""
+        """Stack the learners' `networks`; set `own`."""
         raise NotImplementedError
 
     def act(self, seen: Tensor) -> Tensor:
@@ -225,7 +226,8 @@ class BatchLearner:
 
     def write(self, i: int) -> None:
         """Write the state of run `i` into its single learner."""
-        raise NotImplementedError
+        for networks in self.networks:
+            networks.write(i, networks.state)
 
     def columns(self, n_more: int) -> list[Tensor]:
         """Return the places of each run's inputs: of its own observation, and all of `n_more`."""
@@ -393,8 +395,7 @@ class BatchLearner:
         }
 
     def _flags(self, info: dict[str, Any], name: str) -> Array:
-        flags = torch.as_tensor(info.get(name, False), dtype=torch.bool)
-        return np.broadcast_to(flags.cpu().numpy(), self.env.num_envs)
+        return np.broadcast_to(info.get(name, False), self.env.num_envs)
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
         return torch.cat([obs[key] for key in VIEW], dim=-1)
@@ -424,6 +425,7 @@ class BatchPPO(BatchLearner):
         self.critic = Networks(
             [[(one.critic, one.critic_adam)] for one in singles], *place
         )
+        self.networks = self.actor, self.critic
         self.before = [part.detach().clone() for part in self.actor.state]
         self.has_before = {i for i, one in enumerate(singles) if one.before_update}
         for i in self.has_before:
@@ -606,8 +608,7 @@ class BatchPPO(BatchLearner):
         if i in self.has_before:
             self.actor.write(i, self.before)
             one.before_update = states(one.undoable)
-        self.actor.write(i, self.actor.state)
-        self.critic.write(i, self.critic.state)
+        super().write(i)
 
 
 class BatchDDPGHER(BatchLearner):
@@ -630,6 +631,7 @@ class BatchDDPGHER(BatchLearner):
         self.target_actor = networks("target_actor", n_goal)
         self.critic = networks("critic", n_goal + n_actions, "critic_adam")
         self.target_critic = networks("target_critic", n_goal + n_actions)
+        self.networks = self.actor, self.critic, self.target_actor, self.target_critic
         n_steps = singles[0].replay.max_steps + 1
         shape = len(singles), 32, n_steps, self.width + n_actions
         self.memory = torch.zeros(shape, device=self.device)  # observations and actions
@@ -708,7 +710,7 @@ class BatchDDPGHER(BatchLearner):
         if not self.on:
             return {}
         config, n, singles = self.config, self.config.n_batches, self.learners
-        drawn, factors = dict[int, Relabelled[Array]](), [1.0] * len(singles)
+        drawn, factors = dict[int, Relabelled](), [1.0] * len(singles)
         for i in self.on:
             one = singles[i]
             drawn[i] = one.replay.relabel(n * config.batch_size, one.config.replay_p)
@@ -736,9 +738,7 @@ class BatchDDPGHER(BatchLearner):
             rows[i]["mean_q"] *= scales[i].unit
         return rows
 
-    def _minibatches(
-        self, drawn: Mapping[int, Relabelled[Array]]
-    ) -> Iterator[Batch[Tensor]]:
+    def _minibatches(self, drawn: Mapping[int, Relabelled]) -> Iterator[Batch]:
         """Return minibatches of drawn transitions (E, n, ...); of runs that are off, any."""
         first = next(iter(drawn.values()))
         each = [drawn.get(i, first) for i in range(len(self.learners))]
@@ -757,7 +757,7 @@ class BatchDDPGHER(BatchLearner):
         parts = (part.split(self.config.batch_size, dim=1) for part in batch)  # type: ignore[no-untyped-call]
         return (Batch(*minibatch) for minibatch in zip(*parts, strict=True))
 
-    def _step(self, batch: Batch[Tensor]) -> Tensor:
+    def _step(self, batch: Batch) -> Tensor:
         """Take an Adam step of critics and actors, both from the same parameters.
 
         Returns the critics' losses, the actors' and the mean Q of the actors' actions, (E, 3).
@@ -772,7 +772,7 @@ class BatchDDPGHER(BatchLearner):
         return torch.stack([errors, losses, mean_q], dim=1).detach()
 
     @torch.no_grad()
-    def _targets(self, batch: Batch[Tensor]) -> Tensor:
+    def _targets(self, batch: Batch) -> Tensor:
         """Return the critics' targets (E, n), from the target networks."""
         actions = self.target_actor(batch.next_obs)
         values = q_values(self.target_critic, batch.next_obs, actions)
@@ -788,11 +788,6 @@ class BatchDDPGHER(BatchLearner):
         share = (1.0 - self.hyper["polyak"]) * self.is_on
         self.target_actor.flat.lerp_(self.actor.flat, share)
         self.target_critic.flat.lerp_(self.critic.flat, share)
-
-    def write(self, i: int) -> None:
-        for name in ("actor", "critic", "target_actor", "target_critic"):
-            networks: Networks = getattr(self, name)
-            networks.write(i, networks.state)
 
 
 BATCHED: dict[type, type[Any]] = {PPO: BatchPPO, DDPGHER: BatchDDPGHER}

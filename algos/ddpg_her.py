@@ -413,7 +413,7 @@ class DDPGHER(Learner):
             "updates": n,
         }
 
-    def _as_inputs(self, drawn: Batch[Array]) -> Batch[Tensor]:
+    def _as_inputs(self, drawn: Batch) -> Batch:
         """Return tensors in which observations are the networks' inputs (n, obs + goal)."""
         batch = Batch(*(torch.from_numpy(column).to(self.device) for column in drawn))
         scalings = self.obs_stats.scaling(), self.goal_stats.scaling()
@@ -423,7 +423,7 @@ class DDPGHER(Learner):
             next_obs=inputs(batch.next_obs, batch.goal),
         )
 
-    def _update_networks(self, batch: Batch[Tensor]) -> Tensor:
+    def _update_networks(self, batch: Batch) -> Tensor:
         """Take one Adam step of critic and actor, both from the same parameters.
 
         Returns the critic's loss, the actor's loss and the mean Q of the actor's actions, (3,).
@@ -441,7 +441,7 @@ class DDPGHER(Learner):
         self.actor_adam.step()
         return torch.cat([critic_loss[None], actor_losses])
 
-    def _critic_gradient(self, batch: Batch[Tensor]) -> Tensor:
+    def _critic_gradient(self, batch: Batch) -> Tensor:
         """Compute the gradient of the critic's squared error; return the loss, ()."""
         targets = self._targets(batch)
         errors = q_values(self.critic, batch.obs, batch.action) - targets
@@ -462,7 +462,7 @@ class DDPGHER(Learner):
         return torch.stack([loss, mean_q]).detach()
 
     @torch.no_grad()
-    def _targets(self, batch: Batch[Tensor]) -> Tensor:
+    def _targets(self, batch: Batch) -> Tensor:
         """Return the critic's targets (n,), from the target networks."""
         config, inputs = self.config, batch.next_obs
         next_actions = self.target_actor(inputs)

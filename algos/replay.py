@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -14,34 +14,33 @@ from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
 Ends = Callable[[Array, Array], Array | None]
-Values = TypeVar("Values")
 COLUMNS = ("obs", "desired", "achieved", "action", "terminal")
 
 
-class Batch(NamedTuple, Generic[Values]):
+class Batch(NamedTuple):
     """Hold relabelled transitions, one a row: float32 arrays or tensors."""
 
-    obs: Values
-    goal: Values
+    obs: Any
+    goal: Any
     """The goal, of this and of the next step alike, (n, goal)."""
-    action: Values
-    reward: Values
+    action: Any
+    reward: Any
     """Rewards (n,)."""
-    next_obs: Values
-    terminal: Values
+    next_obs: Any
+    terminal: Any
     """1 where this transition ends the episode, with its goal, else 0, (n,).
 
     Learners that bootstrap all the same ignore it."""
 
 
-class Relabelled(NamedTuple, Generic[Values]):
+class Relabelled(NamedTuple):
     """Say which transitions were drawn, one a row, and what HER makes of them."""
 
-    slot: Values
-    step: Values
-    goal: Values
-    reward: Values
-    terminal: Values
+    slot: Any
+    step: Any
+    goal: Any
+    reward: Any
+    terminal: Any
 
 
 class Replay:
@@ -100,8 +99,9 @@ class Replay:
 
         Those of relabelled transitions do.
         """
-        lived, columns = np.array(episode.rewards), self._as_columns(episode)
-        again = self.reward(columns["achieved"][1:], columns["desired"][1:])
+        lived = np.array(episode.rewards)
+        _, desired, achieved = self._parts(episode)
+        again = self.reward(achieved[1:], desired[1:])
         if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
             raise ValueError(
                 f"compute_reward: found {_short(again)} for an episode's goals, allowed what its steps "
@@ -119,28 +119,23 @@ class Replay:
         for episode in episodes:
             is_full = self.n_episodes == self.n_slots
             slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-            self._put(slot, self._as_columns(episode))
+            self._put(slot, episode)
             slots.append(slot)
         return np.array([*dict.fromkeys(slots)], np.int64)
 
-    def _as_columns(self, episode: Episode) -> dict[str, Array]:
-        """Return the steps of one episode: one more than it has transitions."""
-        views = np.split(np.stack(episode.obs), self._ends_of_parts, axis=1)
-        action = np.pad(np.stack(episode.actions), ((0, 1), (0, 0)))
-        terminal = np.zeros((len(action), 1), np.float32)
-        terminal[len(episode) - 1] = episode.terminated
-        return dict(zip(COLUMNS, (*views, action, terminal), strict=True))
+    def _parts(self, episode: Episode) -> list[Array]:
+        """Return observations, desired and achieved goals (length + 1, ...) of an episode."""
+        return np.split(np.stack(episode.obs), self._ends_of_parts, axis=1)
 
-    def _put(self, slot: int, columns: dict[str, Array]) -> None:
-        """Write the steps of an episode, by column, into a slot."""
-        n_steps = len(columns["obs"]) - 1
-        if n_steps > self.max_steps:
-            raise ValueError(
-                f"max_episode_steps: {self.max_steps}, but found {n_steps} steps"
-            )
-        for name, values in columns.items():
-            self._columns[name][slot, : n_steps + 1] = values
-        self._lengths[slot] = n_steps
+    def _put(self, slot: int, episode: Episode) -> None:
+        """Write an episode into a slot."""
+        n, columns = len(episode), self._columns
+        for name, part in zip(COLUMNS, self._parts(episode), strict=False):
+            columns[name][slot, : n + 1] = part
+        columns["action"][slot, :n] = episode.actions
+        columns["terminal"][slot] = 0.0
+        columns["terminal"][slot, n - 1] = episode.terminated
+        self._lengths[slot] = n
         self.n_episodes = max(self.n_episodes, slot + 1)
         self._unsaved.append(slot)
 
@@ -151,9 +146,7 @@ class Replay:
 
     # -- sampling ----------------------------------------------------------------------------
 
-    def sample(
-        self, n: int, replay_p: float, slots: Array | None = None
-    ) -> Batch[Array]:
+    def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch:
         """Return `n` transitions, relabelled as `relabel` does it."""
         slot, t, goal, reward, terminal = self.relabel(n, replay_p, slots)
         obs, action = self._columns["obs"], self._columns["action"]
@@ -163,7 +156,7 @@ class Replay:
 
     def relabel(
         self, n: int, replay_p: float, slots: Array | None = None
-    ) -> Relabelled[Array]:
+    ) -> Relabelled:
         """Draw `n` transitions, uniform over all or over those in `slots`, and give some new goals.
 
         HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that

@@ -102,8 +102,6 @@ class RunConfig:
         for part in (self.scene, self.learner):
             if part is not None:
                 validation.validate(part)
-        if (self.scene is None) == hands.is_hand(self.run.env):
-            raise ValueError(f"env: found {self.run.env!r}, which does not fit scene")
 
     @property
     def make_env(self) -> Callable[..., Any]:
@@ -246,9 +244,7 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         if data["scene"] is not None:
             scene = validation.fill(GraspConfig, data["scene"], "scene")
         learner = validation.fill(config_type, data["learner"], "learner")
-        config = RunConfig(run, scene, learner)
-        config.validate()
-        return config
+        return RunConfig(run, scene, learner)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"not a configuration of this version, which reads runs of 0.5.0 on: {error}"

@@ -63,7 +63,7 @@ class TestCheckpoint:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            (lambda content: content["ranks"][0].pop("actor"), "finish the run with version"),
+            (lambda content: content["ranks"][0].pop("actor"), "finish the run with the version"),
             (lambda content: content.update(format=2), "not a checkpoint of this version"),
         ],
     )
@@ -226,7 +226,6 @@ class TestConfig:
             ("run", "total_timesteps", "x", "total_timesteps: found 'x'"),
             ("run", "seed", 10**400, "seed: found a number of 1329 bits"),
             ("run", "env", None, "env: found None"),
-            ("run", "env", "shadow", "env: found 'shadow', which does not"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
             ("run", "more", 1, "run.more: unknown"),
             ("learner", "hidden", [8, "8"], "hidden: found '8'"),
