@@ -32,9 +32,8 @@ from .ddpg_her import (
     td_targets,
     tested,
 )
-from .learner import restore, states
 from .normalizer import Normalizer, Scaling
-from .ppo import PPO, ActorLoss, explained_variance, surrogate
+from .ppo import PPO, ActorLoss, Transitions, surrogate
 from .replay import Batch, Relabelled
 from .rollout import OBS, REWARD, Episode, Key, finite, summary
 
@@ -85,10 +84,10 @@ class Networks:
         self.places = [torch.cat([weights[:, own].ravel(), others]) for own in columns]
         shape = len(runs), sum(self.sizes)
         self.flat, *moments = (torch.zeros(shape, device=device) for _ in range(3))
-        self.state = [self.flat, *moments, torch.zeros(len(runs), 1, device=device)]
-        """Parameters, both moments, and how many steps were taken (E, 1)."""
+        self.rows = [self.flat, *moments]
+        self.n_steps = torch.zeros(len(runs), 1, device=device)
         for i in range(len(runs)):
-            self.read(i, self.state)
+            self.read(i)
         self.flat.requires_grad_()
 
     def _own(self, i: int) -> tuple[list[list[Tensor]], list[Tensor]]:
@@ -106,21 +105,22 @@ class Networks:
         return [parameters, *moments], [state["step"] for state in states]
 
     @torch.no_grad()
-    def read(self, i: int, state: Sequence[Tensor]) -> None:
-        """Copy what run `i` has alone into its rows of a state."""
+    def read(self, i: int) -> None:
+        """Copy what run `i` has alone into its rows."""
         own, steps = self._own(i)
-        for rows, tensors in zip(state[:3], own, strict=True):
+        for rows, tensors in zip(self.rows, own, strict=True):
             rows[i, self.places[i]] = parameters_to_vector(tensors).to(rows.device)
-        state[3][i] = max(map(float, steps))
+        self.n_steps[i] = max(map(float, steps))
 
     @torch.no_grad()
-    def write(self, i: int, state: Sequence[Tensor]) -> None:
-        """Copy the rows of run `i` in a state into what it has alone."""
+    def write(self, i: int) -> None:
+        """Copy the rows of run `i` into what it has alone."""
         own, steps = self._own(i)
-        for rows, tensors in zip(state[:3], own, strict=True):
-            vector_to_parameters(rows[i].detach().cpu()[self.places[i]], tensors)
+        for rows, tensors in zip(self.rows, own, strict=True):
+            vector = rows[i].detach()[self.places[i]].to(tensors[0].device)
+            vector_to_parameters(vector, tensors)
         for step in steps:
-            step.copy_(state[3][i, 0])
+            step.copy_(self.n_steps[i, 0])
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return outputs (E, n, outputs) for inputs (E, n, width)."""
@@ -135,31 +135,17 @@ class Networks:
         return x.tanh() if self.is_tanh else x
 
     @torch.no_grad()
-    def scale_outputs(self, factor: Tensor) -> None:
-        """Multiply what each run's last layer returns by a factor (E, 1), as MLP's does."""
-        pieces = self.flat.split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
-        for piece in pieces[2 * self.n_layers - 2 : 2 * self.n_layers]:
-            piece.mul_(factor)
-
-    @torch.no_grad()
     def step(self, gradient: Tensor, lr: Tensor, on: Tensor) -> None:
         """Take an Adam step of the runs where `on` (E, 1) is 1; `lr` is (E, 1) or (E, parameters)."""
-        flat, mean, square, n_steps = self.state
+        flat, mean, square = self.rows
         gradient = torch.where(on == 1, gradient, 0.0)  # 0 * inf is NaN
-        n_steps += on
+        self.n_steps += on
         mean.lerp_(gradient, on * (1 - BETAS[0]))
         square.lerp_(gradient.square(), on * (1 - BETAS[1]))
-        n = n_steps.double().clamp(min=1.0)
+        n = self.n_steps.double().clamp(min=1.0)
         first, second = ((1 - beta**n).float() for beta in BETAS)
         size = (square.sqrt() / second.sqrt()).add_(EPS)
         flat.sub_(mean / size * (on * lr / first))
-
-
-@torch.no_grad()
-def take(to: Sequence[Tensor], others: Sequence[Tensor], on: Tensor) -> None:
-    """Copy the rows of other networks' state where `on` (E, 1) is 1."""
-    for own, other in zip(to, others, strict=True):
-        own.copy_(torch.where(on == 1, other, own))
 
 
 def stacked(
@@ -227,7 +213,7 @@ class BatchLearner:
     def write(self, i: int) -> None:
         """Write the state of run `i` into its single learner."""
         for networks in self.networks:
-            networks.write(i, networks.state)
+            networks.write(i)
 
     def columns(self, n_more: int) -> list[Tensor]:
         """Return the places of each run's inputs: of its own observation, and all of `n_more`."""
@@ -413,25 +399,16 @@ class BatchPPO(BatchLearner):
     """Learn E runs by PPO."""
 
     def build(self) -> None:
-        """Stack networks, and the actors to which an undone update goes back."""
+        """Stack actors, each with its standard deviations, and critics."""
         self.own, self.size = self.columns(self.n_goal), self.width + self.n_goal
-        place = self.own, self.size, self.device
-        singles = self.learners
+        place, singles = (self.own, self.size, self.device), self.learners
         actors = [
             [(one.actor, one.actor_adam), (one.gaussian, one.std_adam)]
             for one in singles
         ]
-        self.actor = Networks(actors, *place)
-        self.critic = Networks(
-            [[(one.critic, one.critic_adam)] for one in singles], *place
-        )
+        critics = [[(one.critic, one.critic_adam)] for one in singles]
+        self.actor, self.critic = Networks(actors, *place), Networks(critics, *place)
         self.networks = self.actor, self.critic
-        self.before = [part.detach().clone() for part in self.actor.state]
-        self.has_before = {i for i, one in enumerate(singles) if one.before_update}
-        for i in self.has_before:
-            restore(singles[i].undoable, singles[i].before_update)
-            self.actor.read(i, self.before)
-            self.actor.write(i, self.actor.state)
         self.look()
 
     def look(self) -> None:
@@ -465,14 +442,21 @@ class BatchPPO(BatchLearner):
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
-        batch, columns = self._batch()
-        verdicts = {i: self.learners[i].judge() for i in self.on}
-        learns = self._keep_or_undo(verdicts)
+        prepared = {i: self.tried(i, self.learners[i].prepare) for i in self.on}
+        batches = {i: each[0] for i, each in prepared.items() if each}
+        verdicts = {i: each[1] for i, each in prepared.items() if each}
+        if not batches:
+            return {}
+        for i in batches:  # critics have another unit of rewards, actors may be undone
+            self.actor.read(i)
+            self.critic.read(i)
+        batch = self._stacked(batches)
+        learns = self.mask([i for i in batches if verdicts[i] == "learn"])
         n = self.actor.flat.shape[1] - self.n_actions
         rates = self.rate("actor_adam").expand(-1, n), self.rate("std_adam")
         actor_lr = torch.cat([rates[0], rates[1].expand(-1, self.n_actions)], dim=1)
         lr = actor_lr, self.rate("critic_adam")
-        passes = {i: self.learners[i].shuffled(len(columns[i])) for i in self.on}
+        passes = {i: self.learners[i].shuffled(len(batches[i].obs)) for i in self.on}
         sums = torch.zeros(len(self.learners), 4, device=self.device)
         n_updates, going = dict.fromkeys(self.on, 0), [*self.on]
         for _ in range(self.config.n_passes):
@@ -490,71 +474,38 @@ class BatchPPO(BatchLearner):
                 going = [i for i in going if not kl[i] > limits[i]]
             if not going:
                 break
-        return self._report(sums, columns, verdicts, n_updates)
+        rows, names = Rows(), (*ActorLoss._fields, "value_loss")
+        for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
+            self.write(i)
+            said = self.learners[i].after_update(batches[i], verdicts[i], n_updates[i])
+            rows[i] = dict(zip(names, means, strict=True)) | said
+        self.look()
+        return rows
 
-    @torch.no_grad()
-    def _batch(self) -> tuple[list[Tensor], list[Tensor]]:
-        """Return all runs' transitions (E, n, ...), and the columns (n, ...) of each by itself.
-
-        The last columns are advantages, returns and values.
-        """
-        n_runs = len(self.learners)
-        factors = (
-            self.learners[i].rescale() if i in self.on else 1.0 for i in range(n_runs)
-        )
-        self.critic.scale_outputs(self.numbers(factors))
-        obs = [np.zeros((0, self.size), np.float32)] * n_runs
-        for i in self.on:
-            seen = np.concatenate([e.obs for e in self.learners[i].episodes])
-            obs[i] = np.zeros((len(seen), self.size), np.float32)
-            obs[i][:, self.own[i]] = seen
-        inputs = self.scale(self._padded(map(torch.from_numpy, obs)))
-        values = self.critic(inputs)[..., 0].cpu().double().numpy()
-        acted_on = [torch.zeros(0, dtype=torch.long)] * n_runs
-        columns = [torch.zeros(0, self.n_actions + 3)] * n_runs
-        for i in self.on:
-            episodes = self.learners[i].episodes
-            ends = np.cumsum([len(e.obs) for e in episodes])
-            mine = np.split(values[i, : ends[-1]], ends[:-1])
-            if targets := self.tried(i, self.learners[i].targets, mine):
-                taken = np.concatenate([e.actions for e in episodes])
-                whole = np.column_stack([taken, *targets]).astype(np.float32)
-                columns[i] = torch.from_numpy(whole)
-                acted_on[i] = torch.from_numpy(np.delete(np.arange(ends[-1]), ends - 1))
-        parts = self._padded(columns)
-        inputs = inputs[self.e, self._padded(acted_on)]
-        actions, *rest = parts.tensor_split(
-            [self.n_actions, self.n_actions + 1, self.n_actions + 2], dim=2
-        )
-        advantages, returns, _ = (part[..., 0] for part in rest)
-        log_prob = self._log_prob(inputs, actions)
-        return [inputs, actions, log_prob, advantages, returns], columns
+    def _stacked(self, batches: Mapping[int, Transitions]) -> Transitions:
+        """Return the transitions of all runs (E, n, ...); inputs that a run does not have are 0."""
+        empty = Transitions(*(part[:0] for part in next(iter(batches.values()))))
+        each = []
+        for i, own in enumerate(self.own):
+            one = batches.get(i, empty)
+            inputs = torch.zeros(len(one.obs), self.size, device=self.device)
+            inputs[:, own[: one.obs.shape[1]]] = one.obs
+            each.append(one._replace(obs=inputs))
+        return Transitions(*map(self._padded, zip(*each, strict=True)))
 
     def _padded(self, parts: Iterable[Tensor], value: float = 0.0) -> Tensor:
         """Return tensors (n, ...) of all runs as one on the device, (E, most, ...)."""
         return pad_sequence([*parts], True, padding_value=value).to(self.device)
 
-    def _keep_or_undo(self, verdicts: Mapping[int, str]) -> Tensor:
-        """Keep actors, or go back to those kept, as the single learner does; return which learn."""
-        learns, undone = (
-            [i for i, verdict in verdicts.items() if verdict == one]
-            for one in ("learn", "undo")
-        )
-        kept = {i for i in learns if self.learners[i].silence.can_undo}
-        take(self.before, self.actor.state, self.mask(kept))
-        take(self.actor.state, self.before, self.mask(undone))
-        self.has_before |= kept
-        return self.mask(learns)
-
     def _rows_of(self, minibatches: Mapping[int, Sequence[Tensor]]) -> Iterator[Tensor]:
         """Yield the rows of each minibatch of all runs, (E, size); -1 where a run has none."""
-        none = torch.zeros(0, dtype=torch.long)
+        none = torch.zeros(0, dtype=torch.long, device=self.device)
         each = (minibatches.get(i, ()) for i in range(len(self.learners)))
         return (self._padded(parts, -1) for parts in zip_longest(*each, fillvalue=none))
 
     def _step(
         self,
-        batch: Sequence[Tensor],
+        batch: Transitions,
         rows: Tensor,
         learns: Tensor,
         lr: Sequence[Tensor],
@@ -565,12 +516,10 @@ class BatchPPO(BatchLearner):
         """
         mask, is_any = rows >= 0, (rows >= 0).any(dim=1, keepdim=True).float()
         share = mask / mask.sum(dim=1, keepdim=True).clamp(min=1)
-        inputs, actions, log_prob, advantages, returns = (
-            part[self.e, rows.clamp(min=0)] for part in batch
-        )
-        log_ratio = self._log_prob(inputs, actions) - log_prob
-        result = surrogate(log_ratio, advantages, self.hyper["clip_range"])
-        errors = (self.critic(inputs)[..., 0] - returns).square()
+        batch = Transitions(*(part[self.e, rows.clamp(min=0)] for part in batch))
+        log_ratio = self._log_prob(batch.obs, batch.actions) - batch.log_prob
+        result = surrogate(log_ratio, batch.advantages, self.hyper["clip_range"])
+        errors = (self.critic(batch.obs)[..., 0] - batch.returns).square()
         parts = [result.loss, result.kl, result.is_clipped, errors]
         stats = torch.stack([(part * share).sum(dim=1) for part in parts], dim=1)
         loss = stats[:, 0].sum() + stats[:, 3].sum()
@@ -587,28 +536,6 @@ class BatchPPO(BatchLearner):
     def _clipped(self, gradient: Tensor) -> Tensor:
         norm = gradient.norm(dim=1, keepdim=True)
         return gradient * (self.hyper["max_grad_norm"] / (norm + 1e-6)).clamp(max=1.0)
-
-    def _report(
-        self, sums: Tensor, columns: Any, verdicts: Any, n_updates: Any
-    ) -> Rows:
-        """Return the rows of the table, as the single learner does, once moments are updated."""
-        rows, names = Rows(), (*ActorLoss._fields, "value_loss")
-        log_std = self.actor.flat[:, -self.n_actions :].detach().cpu()
-        for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
-            one = self.learners[i]
-            one.gaussian.log_std.data.copy_(log_std[i])
-            explained = explained_variance(columns[i][:, -1], columns[i][:, -2])
-            rows[i] = dict(zip(names, means, strict=True))
-            rows[i] |= one.after_update(explained, verdicts[i], n_updates[i])
-        self.look()
-        return rows
-
-    def write(self, i: int) -> None:
-        one = self.learners[i]
-        if i in self.has_before:
-            self.actor.write(i, self.before)
-            one.before_update = states(one.undoable)
-        super().write(i)
 
 
 class BatchDDPGHER(BatchLearner):
@@ -710,14 +637,17 @@ class BatchDDPGHER(BatchLearner):
         if not self.on:
             return {}
         config, n, singles = self.config, self.config.n_batches, self.learners
-        drawn, factors = dict[int, Relabelled](), [1.0] * len(singles)
+        drawn = dict[int, Relabelled]()
         for i in self.on:
             one = singles[i]
             drawn[i] = one.replay.relabel(n * config.batch_size, one.config.replay_p)
-            factors[i] = one.rescale(drawn[i].reward)
             one.updates += n
-        for critic in (self.critic, self.target_critic):
-            critic.scale_outputs(self.numbers(factors))
+            if (factor := one.rescale(drawn[i].reward)) != 1.0:
+                self.write(i)
+                for critic in (one.critic, one.target_critic):
+                    critic.scale_outputs(factor)
+                self.critic.read(i)
+                self.target_critic.read(i)
         scales = [one.reward_scale for one in singles]
         self.unit = self.numbers(scale.unit for scale in scales)
         self.span = [

@@ -44,11 +44,7 @@ class Spaces(NamedTuple):
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     """Return (low, high) of an action space; ValueError when it is not a bounded Box."""
-    if (
-        isinstance(space, gym.spaces.Box)
-        and space.is_bounded()
-        and space.dtype.kind == "f"
-    ):
+    if isinstance(space, gym.spaces.Box) and space.dtype.kind == "f":
         with np.errstate(over="ignore"):
             if np.isfinite(space.high - space.low).all():
                 return space.low, space.high

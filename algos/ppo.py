@@ -380,11 +380,8 @@ class PPO(Learner):
         thread where there are two cores. They meet after it, where `target_kl` may end the passes. In a
         silent epoch, only the critic is updated.
         """
-        config, batch = self.config, self._batch()
-        # After the batch, whose log_prob is of the actor that played.
-        verdict = self.judge()
+        config, (batch, verdict) = self.config, self.prepare()
         learns = verdict == "learn"
-        self._keep_or_undo(verdict)
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
             for minibatches in self.shuffled(len(batch.obs)):
@@ -407,10 +404,19 @@ class PPO(Learner):
             "clip_fraction": losses.clip_fraction.mean().item(),
         }
         self.check_learned([*figures.values()], self.actor, self.gaussian, self.critic)
-        explained = explained_variance(batch.values, batch.returns)
-        return figures | self.after_update(explained, verdict, len(value_losses))
+        return figures | self.after_update(batch, verdict, len(value_losses))
 
-    def judge(self) -> Verdict:
+    def prepare(self) -> tuple[Transitions, Verdict]:
+        """Return what to learn from, and the verdict on the last update: that is kept, or undone."""
+        batch = self._batch()  # its log_prob is of the actor that played
+        verdict = self._judge()
+        if verdict == "undo":
+            restore(self.undoable, self.before_update)
+        elif verdict == "learn" and self.silence.can_undo:
+            self.before_update = states(self.undoable)
+        return batch, verdict
+
+    def _judge(self) -> Verdict:
         """Return what the epoch's returns say of the last update."""
         # Returns of episodes that the physics cut off say nothing.
         whole = [e for e in self.episodes if not e.faults["diverged"]]
@@ -426,12 +432,12 @@ class PPO(Learner):
             yield order.tensor_split(self.config.minibatches(n))
 
     def after_update(
-        self, explained: float, verdict: Verdict, n_updates: int
+        self, batch: Transitions, verdict: Verdict, n_updates: int
     ) -> dict[str, float]:
         """Take the epoch's observations into the moments; return what there is to say beside losses."""
         self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self.episodes]))
         return {
-            "explained_variance": explained,
+            "explained_variance": explained_variance(batch.values, batch.returns),
             "entropy": self.gaussian.entropy(),
             "action_std": float(self.gaussian.std().mean()),
             "undone": int(verdict == "undo"),
@@ -485,18 +491,13 @@ class PPO(Learner):
         names = "actor", "gaussian", "actor_adam", "std_adam"
         return {name: getattr(self, name) for name in names}
 
-    def _keep_or_undo(self, verdict: Verdict) -> None:
-        """Keep the actor before an update that may have to be undone, or go back to the one kept."""
-        if verdict == "undo":
-            restore(self.undoable, self.before_update)
-        elif verdict == "learn" and self.silence.can_undo:
-            self.before_update = states(self.undoable)
-
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
+        config = self.config
         # Where the unit of rewards grows, the critic's values in the old one stay.
-        self.critic.scale_outputs(self.rescale())
+        largest = max(largest_return(e.rewards, config.gamma) for e in self.episodes)
+        self.critic.scale_outputs(self.reward_scale.grow(largest))
         inputs = FlatInputs(self.obs_stats.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
@@ -505,20 +506,13 @@ class PPO(Learner):
         taken = np.concatenate([np.stack(e.actions) for e in self.episodes])
         actions, advantages, returns, predicted = (
             torch.from_numpy(column.astype(np.float32)).to(self.device)
-            for column in (taken, *self.targets(values))
+            for column in (taken, *self._targets(values))
         )
         # Of the actor that played; where it is then undone, this epoch does not update it.
         log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
         return Transitions(acted_on, actions, log_prob, advantages, returns, predicted)
 
-    def rescale(self) -> float:
-        """Raise the scale of rewards to the largest return; return the factor for critics."""
-        gamma = self.config.gamma
-        return self.reward_scale.grow(
-            max(largest_return(e.rewards, gamma) for e in self.episodes)
-        )
-
-    def targets(self, values: Sequence[Array]) -> tuple[Array, Array, Array]:
+    def _targets(self, values: Sequence[Array]) -> tuple[Array, Array, Array]:
         """Return normalized advantages, returns and values (n,) of the epoch's transitions.
 
         `values` are the critic's of each episode's observations, (length + 1,).

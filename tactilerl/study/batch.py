@@ -252,8 +252,8 @@ class _Training:
             held.callback(env.close)
             for i, config in enumerate(configs):
                 seat: Any = _Seat(env, i)
-                options = alone, config.run.seed, config.run.total_timesteps
-                singles.append(algorithm(config.learner, seat, *options))
+                options = config.run.seed, config.run.total_timesteps, env.device
+                singles.append(algorithm(config.learner, seat, alone, *options))
         about["worlds"] = env.num_envs
         for run, config, one in zip(batch.runs, configs, singles, strict=True):
             checkpoint = Checkpoint(files.run_dir(run), one, alone)

@@ -206,9 +206,9 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
     rows = []
     for broken in ("", what):
         learners = [single(algo, config, seed, 0) for seed in (5, 6, 7)]
-        many = batch.BATCHED[type(learners[0])](learners, Breaks((0, 0, 0), 2, broken))
         if broken == "parameter":
-            many.actor.flat.data[1] = np.nan
+            learners[1].actor[0].bias.data[:] = np.nan
+        many = batch.BATCHED[type(learners[0])](learners, Breaks((0, 0, 0), 2, broken))
         rows.append([(many.collect(), many.update(), many.test(range(3))) for _ in range(3)])
         assert [i for i in range(3) if i in many.failures] == [1] * bool(broken)
     reason = "could not begin" if what == "reset" else f"{what}.*not finite"
@@ -231,6 +231,6 @@ def test_tests_are_as_many_as_asked_for(monkeypatch):
 def test_a_gradient_that_is_off_changes_nothing():
     mlp = single("ppo", PPO_CONFIG, 5, 0).actor
     networks = batch.Networks([[(mlp, None)]], [torch.arange(4)], 4, torch.device("cpu"))
-    before = [part.detach().clone() for part in networks.state]
+    before = [part.detach().clone() for part in networks.rows]
     networks.step(torch.full_like(before[0], np.inf), torch.ones(1, 1), torch.zeros(1, 1))
-    assert all(map(torch.equal, networks.state, before))
+    assert all(map(torch.equal, networks.rows, before))
