@@ -33,9 +33,10 @@ from .ddpg_her import (
     tested,
 )
 from .normalizer import Normalizer, Scaling
+from .policy import OBS, finite
 from .ppo import PPO, ActorLoss, Transitions, surrogate
 from .replay import Batch, Relabelled
-from .rollout import OBS, REWARD, Episode, Key, finite, summary
+from .rollout import REWARD, Episode, Key, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam

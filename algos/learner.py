@@ -13,8 +13,7 @@ from torch import nn
 from torch.nn.utils import parameters_to_vector
 
 from . import Array, Communicator, Workers
-from .policy import Policy, Spaces, flat_size
-from .rollout import finite
+from .policy import Policy, Spaces, finite, flat_size
 
 A = TypeVar("A")
 B = TypeVar("B")

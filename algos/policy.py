@@ -13,11 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, Communicator
+from . import Array, Communicator, DivergenceError
 from .networks import MLP
 from .normalizer import Normalizer, Scaling
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
+OBS = "an observation of the environment"
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 SEEN = ("observation", "desired_goal")  # by a policy
 GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
@@ -40,6 +41,15 @@ class Spaces(NamedTuple):
             spaces = self.observation.spaces
             parts = {key: spaces[key] for key in GOAL_KEYS if key in spaces}
         return {key: tuple(part.shape or ()) for key, part in parts.items()}
+
+
+def finite(values: Any, what: str) -> Any:
+    """Return `values` if all are finite in float32; DivergenceError where they are not."""
+    is_finite = np.abs(values) <= FLOAT32_MAX
+    if not is_finite.all():
+        which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
+        raise DivergenceError(f"{what} is not finite, or beyond float32{which}")
+    return values
 
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
@@ -195,11 +205,14 @@ class Policy:
         return self.act(observation, deterministic, rng), None
 
     def read(self, obs: Any) -> Any:
-        """Return what is kept of one observation; ValueError where it has another shape."""
+        """Return what is kept of one observation of the environment.
+
+        ValueError where it has another shape, DivergenceError where it is not finite.
+        """
         _, is_batch = self._parts(obs)
         if is_batch:
             raise ValueError("obs: found a batch, allowed one observation")
-        return self.inputs.read(obs)
+        return finite(self.inputs.read(obs), OBS)
 
     def choose(self, view: Any, noise: Noise | None = None) -> Array:
         """Return the action (d,) for what was kept of one observation, where bounds are ±1."""

@@ -15,10 +15,10 @@ import gymnasium as gym
 import numpy as np
 
 from . import Array, Communicator, DivergenceError, EndlessError
-from .policy import FLOAT32_MAX, Policy
+from .policy import Policy, finite
 
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
-OBS, REWARD = "an observation of the environment", "the reward of the environment"
+REWARD = "the reward of the environment"
 # Steps of an episode that is thought to have an end.
 MAX_LENGTH = 20_000
 # Episodes in a row without a step, from which nothing can be learned.
@@ -83,7 +83,7 @@ class PlayEpisode:
             episode.faults["diverged"], episode.success = 1, 0.0
             episode.info = {"error": str(error)}
             return episode
-        episode.obs.append(finite(policy.read(obs), OBS))
+        episode.obs.append(policy.read(obs))
         is_done = False
         while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
@@ -108,7 +108,7 @@ def _step(
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
-    episode.obs.append(finite(policy.read(obs), OBS))
+    episode.obs.append(policy.read(obs))
     episode.actions.append(action)
     episode.rewards.append(finite(float(reward), REWARD))
     episode.terminated = bool(terminated)
@@ -167,12 +167,3 @@ def usable(episodes: list[Episode]) -> list[Episode]:
             f"(the last: {reason})"
         )
     return [episode for episode in episodes if len(episode)]
-
-
-def finite(values: Any, what: str) -> Any:
-    """Return `values` if all are finite in float32; DivergenceError where they are not."""
-    is_finite = np.abs(values) <= FLOAT32_MAX
-    if not is_finite.all():
-        which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
-        raise DivergenceError(f"{what} is not finite, or beyond float32{which}")
-    return values

@@ -7,6 +7,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+import tactilerl
 import torch
 from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import (
@@ -259,6 +260,12 @@ def test_a_policy_acts_without_the_achieved_goal():
     filtered = gym.wrappers.FilterObservation(GoalEnv(), [*seen])
     with pytest.raises(ValueError, match="Dict with observation, achieved_goal and desired_goal"):
         make(filtered)
+
+
+def test_anybodys_policy_plays_a_goal_environment():
+    """Whose parts have different lengths."""
+    result = tactilerl.evaluate(lambda obs: obs["desired_goal"][[0, 0, 1]], GoalEnv(), episodes=2)
+    assert result["mean_length"] == 5
 
 
 class TestExploration:
