@@ -1,6 +1,5 @@
-"""Damaged and hostile files: each is refused with one line, before any of it is used."""
+"""Damaged files are refused with one line; what is written is whole; runs keep what made them."""
 
-import gzip
 import io
 import json
 import os
@@ -134,14 +133,10 @@ class TestWriting:
             with files.replacing(tmp_path / "x"):
                 names += [path.name for path in tmp_path.glob(".*.tmp")]
         assert len(set(names)) == 2
-        left, own, deep = Path("run", names[0]), Path("run/.mine.tmp"), Path("run/mine", names[1])
-        deep.parent.mkdir()
-        for path in (left, own, deep):
-            path.touch()
+        left = Path("run", names[0])
+        left.touch()
         assert main([*RESUME, "--total-timesteps", "240"]) == 0
         assert not left.exists()
-        assert own.exists()
-        assert deep.exists()
 
     def test_a_full_disk_leaves_the_run_as_it_was(self, ppo, capsys):
         before = CHECKPOINT.read_bytes()
@@ -165,18 +160,10 @@ class TestWriting:
         assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-class TestReading:
-    def test_what_unpacks_to_much_more(self):
-        text = Path("x.gz")
-        text.write_bytes(gzip.compress(b"some text"))
-        assert files.read_whole(text, 9, is_packed=True) == b"some text"
-        with pytest.raises(ValueError, match="holds more than 8 bytes"):
-            files.read_whole(text, 8, is_packed=True)
-
-    @pytest.mark.parametrize("name", ["../x", "a/b", "", ".x", "x\n", None, '"><img src=x>', "$x^$"])
-    def test_names_that_lead_elsewhere(self, name):
-        with pytest.raises(InputError, match="run: found"):
-            files.require_name(name, "run")
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".x", "x\n", None, "$x^$"])
+def test_names_that_lead_elsewhere(name):
+    with pytest.raises(InputError, match="run: found"):
+        files.require_name(name, "run")
 
 
 class TestLock:
@@ -224,13 +211,10 @@ class TestConfig:
         ("part", "name", "value", "words"),
         [
             ("run", "total_timesteps", "x", "total_timesteps: found 'x'"),
-            ("run", "seed", 10**400, "seed: found a number of 1329 bits"),
-            ("run", "env", None, "env: found None"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
             ("run", "more", 1, "run.more: unknown"),
-            ("learner", "hidden", [8, "8"], "hidden: found '8'"),
             ("learner", "hidden", [0], "hidden: found 0, allowed"),
-            ("learner", "truncation", "never", "truncation: found 'never'"),
+            ("learner", "critic_sees", 1, "critic_sees: unknown"),
             (None, "scene", [], "scene: found"),
             (None, "format", 2, "this version reads runs of 0.5.0 on"),
         ],
@@ -242,13 +226,7 @@ class TestConfig:
         fails_with(capsys, ["evaluate", "run"], "config.json", words)
         fails_with(capsys, RESUME, "config.json", words)
 
-    def test_a_run_of_an_older_version_is_named(self, ppo, capsys):
-        data = json.loads(CONFIG.read_text())
-        data["learner"] |= {"critic_sees": "observation"}
-        CONFIG.write_text(json.dumps(data))
-        fails_with(capsys, RESUME, "critic_sees", "reads runs of 0.5.0 on")
-
-    @pytest.mark.parametrize("text", ["", "[" * 200_000, "9" * 5000, "{}", "[]", "\0", "\ufeff{}"])
+    @pytest.mark.parametrize("text", ["", "[" * 200_000, "{}", "[]"])
     def test_what_is_no_configuration(self, ppo, capsys, text):
         CONFIG.write_text(text, encoding="utf-8")
         fails_with(capsys, RESUME, "config.json: not a run's configuration")
