@@ -305,7 +305,8 @@ class _Training:
         made = [one.env_steps - n for one, n in zip(singles, before, strict=True)]
         played = [i for i, n in enumerate(made) if n]
         tests, spent = learner.test(played), time.perf_counter() - begin
-        ended = [i for i in played if n_tests and i not in learner.active]
+        going = {*learner.active, *learner.failures}
+        ended = [i for i in played if n_tests and i not in going]
         finals = learner.play_best(
             dict.fromkeys(ended, evaluation.task(None).key), n_tests
         )
