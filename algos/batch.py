@@ -475,13 +475,13 @@ class BatchPPO(BatchLearner):
                 going = [i for i in going if not kl[i] > limits[i]]
             if not going:
                 break
-        rows, names = Rows(), (*ActorLoss._fields, "value_loss")
+        said, names = Rows(), (*ActorLoss._fields, "value_loss")
         for i, means in self.means(sums, n_updates, self.actor, self.critic).items():
             self.write(i)
-            said = self.learners[i].after_update(batches[i], verdicts[i], n_updates[i])
-            rows[i] = dict(zip(names, means, strict=True)) | said
+            after = self.learners[i].after_update(batches[i], verdicts[i], n_updates[i])
+            said[i] = dict(zip(names, means, strict=True)) | after
         self.look()
-        return rows
+        return said
 
     def _stacked(self, batches: Mapping[int, Transitions]) -> Transitions:
         """Return the transitions of all runs (E, n, ...); inputs that a run does not have are 0."""

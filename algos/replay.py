@@ -225,7 +225,7 @@ class Replay:
             return {}
         slots = np.array([*dict.fromkeys(self._unsaved)], np.int64)
         self._unsaved = []
-        parts = {name: values[slots] for name, values in self._columns.items()}
+        parts: dict[str, Array] = {k: v[slots] for k, v in self._columns.items()}
         parts |= {"slots": slots, "lengths": self._lengths[slots]}
         return {name: torch.from_numpy(values) for name, values in parts.items()}
 
