@@ -52,8 +52,8 @@ class DivergenceError(FloatingPointError):
     """Say that something the learner needs is no longer a finite number."""
 
 
-class UnfitError(ValueError):
-    """Say that the environment is not what the learner takes for granted."""
+class EndlessError(ValueError):
+    """Say that an episode of the environment has no end."""
 
 
 class Workers(Protocol):
@@ -97,9 +97,6 @@ class Communicator:
     def sum_(self, tensor: Tensor) -> None:
         """Replace `tensor` by its sum over ranks, in place."""
 
-    def broadcast_(self, tensor: Tensor) -> None:
-        """Replace `tensor` by rank 0's, in place."""
-
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Elementwise sum of float64 arrays over ranks."""
         return values
@@ -107,13 +104,6 @@ class Communicator:
     def all_gather(self, value: Any) -> list[Any]:
         """Return the values of all ranks, in their order, on every rank."""
         return [value]
-
-    def receive(self, value: Any) -> Iterator[Any]:
-        """Yield the values of all ranks, one after another, on rank 0; nothing on the others.
-
-        Every rank must exhaust it. Rank 0 holds no more than one of them at a time.
-        """
-        yield value
 
 
 def get(name: str) -> tuple[Any, Any]:

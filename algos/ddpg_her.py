@@ -24,7 +24,6 @@ from . import (
     Array,
     Communicator,
     Count,
-    DivergenceError,
     Fraction,
     NotNegative,
     Positive32,
@@ -32,9 +31,8 @@ from . import (
     rollout,
 )
 from .learner import Learner, LearnerConfig, RewardScale
-from .mpi import same_on_all_ranks
-from .networks import MLP, flushed_denormals, require_hidden
-from .normalizer import MIN_STD, Normalizer, Scaling
+from .networks import MLP, flushed_denormals
+from .normalizer import Normalizer, Scaling
 from .policy import (
     Policy,
     Spaces,
@@ -50,24 +48,20 @@ from .rollout import (
     Episode,
     PlayEpisode,
     largest_return,
-    require_progress,
-    require_transitions,
     summary,
+    usable,
 )
 
-CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
 # What is kept of observations, in this order; networks see all but the last.
 VIEW = ("observation", "desired_goal", "achieved_goal")
 REPLAY_P = 0.8  # paper
-# A run warns where more values are cut at clip_obs, or as many columns have too small a spread.
-MAX_CUT, MAX_AT_FLOOR = 0.01, 0.5
 
 
 @dataclass(frozen=True)
 class DDPGHERConfig(LearnerConfig):
     """Hyperparameters; defaults are the paper's (Methods, MuJoCo set-up) unless noted."""
 
-    hidden: tuple[int, ...] = (256, 256, 256)
+    hidden: tuple[Count, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
     actor_lr: Positive32 = 1e-3
     """Learning rate of the actor (Adam)."""
@@ -146,10 +140,6 @@ class DDPGHERConfig(LearnerConfig):
             self, noise_eps=left * self.noise_eps, random_eps=left * self.random_eps
         )
 
-    def validate(self) -> None:
-        """Raise ValueError naming what does not go together; ranges are in the types."""
-        require_hidden(self.hidden)
-
 
 def td_targets(
     rewards: Tensor,
@@ -169,19 +159,10 @@ def td_targets(
     )
 
 
-def n_missing(episodes: list[Episode], n: int) -> int:
-    """Return how many of `n` episodes with transitions are missing; may raise DivergenceError."""
-    require_progress(episodes)
-    return n - sum(len(episode) > 0 for episode in episodes)
-
-
 def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
-    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
-
-    DivergenceError when `rollout.MAX_FAILURES` in a row have none.
-    """
+    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions."""
     episodes: list[Episode] = []
-    while missing := n_missing(episodes, n):
+    while missing := n - len(usable(episodes)):
         episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
     return episodes
 
@@ -291,7 +272,7 @@ class DDPGHER(Learner):
         "target_critic",
         "actor_adam",
         "critic_adam",
-        "rewards",
+        "reward_scale",
     )
     plain = ("env_steps", "updates", "cycles")
 
@@ -318,8 +299,6 @@ class DDPGHER(Learner):
         self.critic = MLP(sizes, generator).to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
         self.critic_parameters = [*self.critic.parameters()]
-        for parameter in self.actor_parameters + self.critic_parameters:
-            self.comm.broadcast_(parameter)
         self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
@@ -334,14 +313,13 @@ class DDPGHER(Learner):
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
         is_running = config.normalize_rewards  # else as in baselines: from -1 to 0
-        self.rewards = RewardScale(is_running, 0.0 if is_running else -1.0)
+        self.reward_scale = RewardScale(is_running, 0.0 if is_running else -1.0)
         self._largest_return = 0.0  # of the last episodes
         self.new_slots = np.zeros(0, np.int64)  # where the replay has them
 
     def check(self) -> None:
         episodes = play_episodes(self.workers, self._player(rollout.PROBE), 1)
         self.replay.require_rewards(episodes[-1])  # the one with transitions
-        self.replay.require_memory(self.comm.local_size)
 
     def describe(self) -> str:
         config, replay = self.config, self.replay
@@ -380,22 +358,21 @@ class DDPGHER(Learner):
 
     def wants_more(self, episodes: list[Episode]) -> bool:
         """Return whether a cycle has too few episodes with transitions."""
-        return n_missing(episodes, self.config.n_rollouts) > 0
+        return len(usable(episodes)) < self.config.n_rollouts
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Take a cycle's episodes into the replay and the normalizers; return counts and means."""
         self.cycles += 1
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
-        usable, limit = require_transitions(episodes), self.config.clip_obs
+        lived, limit = usable(episodes), self.config.clip_obs
         gamma = self.config.gamma
-        self._largest_return = max(largest_return(e.rewards, gamma) for e in usable)
-        self.new_slots = self.replay.store(usable)
-        n = sum(map(len, usable))
+        self._largest_return = max(largest_return(e.rewards, gamma) for e in lived)
+        self.new_slots = self.replay.store(lived)
+        n = sum(map(len, lived))
         batch = self.replay.sample(n, self.config.replay_p, self.new_slots)
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
-        self._warn_of_units(batch)
         return stats
 
     def test(self) -> dict[str, float]:
@@ -428,40 +405,15 @@ class DDPGHER(Learner):
         self.updates += n
         over_ranks = self.comm.sum((sums / n).cpu().double().numpy())
         critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
-        self.require_finite(means, self.actor, self.critic)
-        if self.updates % CHECK_EVERY < n:
-            whole = parameters_to_vector(self.actor_parameters + self.critic_parameters)
-            if not same_on_all_ranks(self.comm, whole):
-                raise DivergenceError("the ranks' parameters differ")
+        self.check_learned(means, self.actor, self.critic)
         return {
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
-            "mean_q": mean_q * self.rewards.unit,
+            "mean_q": mean_q * self.reward_scale.unit,
             "updates": n,
         }
 
-    def _warn_of_units(self, drawn: Batch[Array]) -> None:
-        """Warn where the unit of observations or goals keeps the networks from telling them apart."""
-        limit = self.config.clip_obs
-        values = np.concatenate([drawn.obs, drawn.goal], axis=1)
-        cut = float((np.abs(values) > limit).mean())
-        varies = values.max(axis=0) > values.min(axis=0)
-        std = np.concatenate([self.obs_stats.std, self.goal_stats.std])
-        at_floor = float((std[varies] <= MIN_STD).mean()) if varies.any() else 0.0
-        if cut > MAX_CUT:
-            self.warn_once(
-                "cut",
-                f"{cut:.0%} of the values observed are beyond ±{limit:g} and are cut there: use a "
-                "larger unit (m, not mm) or raise clip_obs",
-            )
-        if at_floor >= MAX_AT_FLOOR:
-            self.warn_once(
-                "floor",
-                f"{at_floor:.0%} of the columns observed vary by less than {MIN_STD:g}, and look "
-                "almost constant to the networks: use a smaller unit",
-            )
-
-    def _as_inputs(self, drawn: Batch[Array]) -> Batch[Tensor]:
+    def _as_inputs(self, drawn: Batch) -> Batch:
         """Return tensors in which observations are the networks' inputs (n, obs + goal)."""
         batch = Batch(*(torch.from_numpy(column).to(self.device) for column in drawn))
         scalings = self.obs_stats.scaling(), self.goal_stats.scaling()
@@ -471,7 +423,7 @@ class DDPGHER(Learner):
             next_obs=inputs(batch.next_obs, batch.goal),
         )
 
-    def _update_networks(self, batch: Batch[Tensor]) -> Tensor:
+    def _update_networks(self, batch: Batch) -> Tensor:
         """Take one Adam step of critic and actor, both from the same parameters.
 
         Returns the critic's loss, the actor's loss and the mean Q of the actor's actions, (3,).
@@ -489,7 +441,7 @@ class DDPGHER(Learner):
         self.actor_adam.step()
         return torch.cat([critic_loss[None], actor_losses])
 
-    def _critic_gradient(self, batch: Batch[Tensor]) -> Tensor:
+    def _critic_gradient(self, batch: Batch) -> Tensor:
         """Compute the gradient of the critic's squared error; return the loss, ()."""
         targets = self._targets(batch)
         errors = q_values(self.critic, batch.obs, batch.action) - targets
@@ -510,13 +462,13 @@ class DDPGHER(Learner):
         return torch.stack([loss, mean_q]).detach()
 
     @torch.no_grad()
-    def _targets(self, batch: Batch[Tensor]) -> Tensor:
+    def _targets(self, batch: Batch) -> Tensor:
         """Return the critic's targets (n,), from the target networks."""
         config, inputs = self.config, batch.next_obs
         next_actions = self.target_actor(inputs)
         next_values = q_values(self.target_critic, inputs, next_actions)
         terminal = batch.terminal * (config.termination == "terminal")
-        scale = self.rewards
+        scale = self.reward_scale
         unit, low, high = scale.unit, scale.lowest, scale.highest
         span = (low / unit, high / unit) if config.clip_target else None
         return td_targets(
@@ -539,10 +491,11 @@ class DDPGHER(Learner):
         """
         mine = rewards.min(), rewards.max(), self._largest_return
         lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)
-        self.rewards.see(np.array([*lows, *highs]))
+        self.reward_scale.see(np.array([*lows, *highs]))
         of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
-        extreme = max(-self.rewards.lowest, self.rewards.highest, *largest)
-        return self.rewards.grow(float(extreme) / of_ones)
+        scale = self.reward_scale
+        extreme = max(-scale.lowest, scale.highest, *largest)
+        return scale.grow(float(extreme) / of_ones)
 
     def _sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""

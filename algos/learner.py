@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, ClassVar, Self, TypeVar
 
-import numpy as np
 import torch
 from torch import nn
+from torch.nn.utils import parameters_to_vector
 
 from . import Array, Communicator, Workers
-from .policy import Policy, Spaces, flat_size, require_layers
-from .rollout import finite
+from .policy import Policy, Spaces, finite, flat_size
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -82,7 +80,6 @@ class Learner(ABC):
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         self.n_inputs = flat_size(self.spaces.observation)  # of the networks
         self.env_steps = 0  # so far, on all ranks
-        self._warned = set[str]()
         self._second_thread: ThreadPoolExecutor | None = None
         is_free = cores > 1 and torch.get_num_threads() == 1
         if is_free and comm.size == 1 and self.device.type == "cpu":
@@ -94,7 +91,7 @@ class Learner(ABC):
         """Make networks, with weights drawn from `generator`, optimizers and all else it has."""
 
     def check(self) -> None:
-        """Raise ValueError where rewards or memory do not fit; may play an episode."""
+        """Raise ValueError where rewards do not fit; may play an episode."""
 
     @abstractmethod
     def describe(self) -> str:
@@ -134,9 +131,8 @@ class Learner(ABC):
     def saved_policy(cls, config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         """Return the policy in what `state_dict` returned, on the CPU, without a learner around it.
 
-        `config` are the learner's hyperparameters. ValueError when these do not go together.
+        `config` are the learner's hyperparameters.
         """
-        require_layers(config.hidden, spaces, saved["actor"])
         parts = cls.new_parts(config, spaces, Communicator(), torch.Generator())
         restore(parts, saved)
         return cls.as_policy(config, spaces, *parts.values())
@@ -178,18 +174,12 @@ class Learner(ABC):
             wait([future])
         return result, future.result()
 
-    def require_finite(self, losses: Sequence[float], *networks: nn.Module) -> None:
+    def check_learned(self, losses: Sequence[float], *networks: nn.Module) -> None:
         """Raise DivergenceError rather than go on from losses or parameters that are not finite."""
-        what = f"a loss or a parameter after {self.env_steps} steps"
-        finite(np.array(losses), what)
-        for parameter in (p for network in networks for p in network.parameters()):
-            finite(parameter.detach().cpu().numpy(), what)
-
-    def warn_once(self, topic: str, message: str) -> None:
-        """Warn on one rank, once in the life of this learner."""
-        if self.comm.rank == 0 and topic not in self._warned:
-            self._warned.add(topic)
-            warnings.warn(message, stacklevel=3)
+        weights = (parameters_to_vector(network.parameters()) for network in networks)
+        for values in (torch.tensor(losses), *weights):
+            what = f"a loss or a parameter after {self.env_steps} steps"
+            finite(values.detach().cpu().numpy(), what)
 
     # -- saving ------------------------------------------------------------------------------
 
@@ -256,6 +246,11 @@ def second_thread() -> ThreadPoolExecutor:
         torch.set_flush_denormal(True)
 
     return ThreadPoolExecutor(1, initializer=set_up)
+
+
+def states(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return copies of the states of parts, by name."""
+    return copy.deepcopy({name: part.state_dict() for name, part in parts.items()})
 
 
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:

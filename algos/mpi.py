@@ -5,10 +5,8 @@ mpi4py is imported only under an MPI launcher, so that nobody else needs it.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,12 +48,6 @@ class MPICommunicator(Communicator):
         if on_host.data_ptr() != tensor.data_ptr():
             tensor.detach().copy_(on_host)
 
-    def broadcast_(self, tensor: Tensor) -> None:
-        on_host = tensor.detach().cpu()
-        self._comm.Bcast(on_host.numpy(), root=0)
-        if on_host.data_ptr() != tensor.data_ptr():
-            tensor.detach().copy_(on_host)
-
     def sum(self, values: np.ndarray) -> np.ndarray:
         total = np.empty_like(values, dtype=np.float64)
         self._comm.Allreduce(np.asarray(values, np.float64), total, op=self._mpi.SUM)
@@ -63,13 +55,6 @@ class MPICommunicator(Communicator):
 
     def all_gather(self, value: Any) -> list[Any]:
         return list(self._comm.allgather(value))
-
-    def receive(self, value: Any) -> Iterator[Any]:
-        if self.rank == 0:
-            yield value
-            yield from (self._comm.recv(source=rank) for rank in range(1, self.size))
-        else:
-            self._comm.send(value, dest=0)
 
 
 def launched_rank() -> str | None:
@@ -101,11 +86,3 @@ def abort(code: int) -> None:
             sys.stdout.flush()
             sys.stderr.flush()
             comm.Abort(code)
-
-
-def same_on_all_ranks(comm: Communicator, tensor: Tensor) -> bool:
-    """Return True if `tensor` is bit for bit the same on all ranks."""
-    if comm.size == 1:
-        return True
-    digest = hashlib.sha256(tensor.detach().cpu().numpy().tobytes()).hexdigest()
-    return len(set(comm.all_gather(digest))) == 1

@@ -13,26 +13,6 @@ from torch import nn
 
 # Below it, numbers have not all of float32's digits.
 FLOAT32_TINY = np.finfo(np.float32).tiny
-# Of hidden layers: more is a slip and takes all memory.
-MAX_UNITS, MAX_WEIGHTS = 100_000, 10**8
-
-
-def require_hidden(hidden: Sequence[int]) -> None:
-    """Raise ValueError for hidden layers that are none, or too large."""
-    if not hidden or not 1 <= min(hidden) <= max(hidden) <= MAX_UNITS:
-        raise ValueError(
-            f"hidden: found {hidden}, allowed one or more sizes from 1 to {MAX_UNITS}"
-        )
-    if sum(a * b for a, b in itertools.pairwise(hidden)) > MAX_WEIGHTS:
-        raise ValueError(
-            f"hidden: found {hidden}, allowed up to {MAX_WEIGHTS} weights between them"
-        )
-
-
-def layer_shapes(sizes: Sequence[int]) -> list[tuple[int, ...]]:
-    """Return the shapes of all weights and biases of a network with these sizes, the inputs first."""
-    pairs = itertools.pairwise(sizes)
-    return [shape for n, m in pairs for shape in ((m, n), (m,))]
 
 
 class MLP(nn.Sequential):

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from . import Array, Communicator
 
+ARRAYS, NUMBERS = ("as_is", "block", "mean", "squares"), ("count", "block_squares")
 MIN_STD = 0.01
 """Floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
 BLOCK_NORM = 24.0
@@ -63,15 +64,15 @@ class Normalizer:
         self.block = nothing if block is None else block
         self.count = 0.0
         self.mean = np.zeros(size)
-        self._squares = np.zeros(size)  # sum of squared deviations from the mean
-        self._block_squares = 0.0  # sum of the block's squared norms
+        self.squares = np.zeros(size)  # sum of squared deviations from the mean
+        self.block_squares = 0.0  # sum of the block's squared norms
 
     @property
     def std(self) -> Array:
         """Divisor of each column, float64 (size,): at least `MIN_STD`, 1 before the first update."""
         is_new = self.count == 0
-        variance = np.ones_like(self.mean) if is_new else self._squares / self.count
-        norm = (PRIOR_ROWS + self._block_squares) / (PRIOR_ROWS + self.count)
+        variance = np.ones_like(self.mean) if is_new else self.squares / self.count
+        norm = (PRIOR_ROWS + self.block_squares) / (PRIOR_ROWS + self.count)
         variance = np.where(self.block, norm / BLOCK_NORM, variance)
         return np.where(self.as_is, 1.0, np.maximum(np.sqrt(variance), MIN_STD))
 
@@ -86,13 +87,13 @@ class Normalizer:
         mean = total[:-2] / count
         squares = self.comm.sum(np.square(batch - mean).sum(axis=0))
         gap, all_count = mean - self.mean, self.count + count
-        self._squares += squares + np.square(gap) * (self.count * count / all_count)
+        self.squares += squares + np.square(gap) * (self.count * count / all_count)
         self.mean += gap * (count / all_count)
         self.count = all_count
-        self._block_squares += float(total[-2])
+        self.block_squares += float(total[-2])
         has_moments = ~(self.as_is | self.block)
         self.mean *= has_moments
-        self._squares *= has_moments
+        self.squares *= has_moments
 
     def scaling(self) -> Scaling:
         """Return what it does to values now; later updates do not change what was returned."""
@@ -104,20 +105,12 @@ class Normalizer:
 
     def state_dict(self) -> dict[str, Any]:
         """Return moments and masks, as tensors and numbers."""
-        return {
-            "as_is": torch.tensor(self.as_is),
-            "block": torch.tensor(self.block),
-            "count": self.count,
-            "mean": torch.tensor(self.mean),
-            "squares": torch.tensor(self._squares),
-            "block_squares": self._block_squares,
-        }
+        arrays = {name: torch.tensor(getattr(self, name)) for name in ARRAYS}
+        return arrays | {name: getattr(self, name) for name in NUMBERS}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Put back what `state_dict` returned."""
-        self.as_is = state["as_is"].numpy().copy()
-        self.block = state["block"].numpy().copy()
-        self.count = float(state["count"])
-        self.mean = state["mean"].numpy().copy()
-        self._squares = state["squares"].numpy().copy()
-        self._block_squares = float(state["block_squares"])
+        for name in ARRAYS:
+            setattr(self, name, state[name].numpy().copy())
+        for name in NUMBERS:
+            setattr(self, name, float(state[name]))

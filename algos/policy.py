@@ -13,11 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, Communicator, UnfitError
-from .networks import MLP, layer_shapes
+from . import Array, Communicator, DivergenceError
+from .networks import MLP
 from .normalizer import Normalizer, Scaling
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
+OBS = "an observation of the environment"
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 SEEN = ("observation", "desired_goal")  # by a policy
 GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
@@ -42,13 +43,18 @@ class Spaces(NamedTuple):
         return {key: tuple(part.shape or ()) for key, part in parts.items()}
 
 
+def finite(values: Any, what: str) -> Any:
+    """Return `values` if all are finite in float32; DivergenceError where they are not."""
+    is_finite = np.abs(values) <= FLOAT32_MAX
+    if not is_finite.all():
+        which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
+        raise DivergenceError(f"{what} is not finite, or beyond float32{which}")
+    return values
+
+
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     """Return (low, high) of an action space; ValueError when it is not a bounded Box."""
-    if (
-        isinstance(space, gym.spaces.Box)
-        and space.is_bounded()
-        and space.dtype.kind == "f"
-    ):
+    if isinstance(space, gym.spaces.Box) and space.dtype.kind == "f":
         with np.errstate(over="ignore"):
             if np.isfinite(space.high - space.low).all():
                 return space.low, space.high
@@ -149,7 +155,7 @@ class Policy:
         spaces: Spaces,
     ):
         self.network, self.inputs, self.explore = network, inputs, explore
-        self.shapes = _read(spaces.shapes)
+        self.shapes, self.action_space = seen_shapes(spaces), spaces.action
         self._low, self._high = action_bounds(spaces.action)
 
     def act(
@@ -166,24 +172,23 @@ class Policy:
         ValueError when the observation has another shape than those it was trained on or is not
         finite, or `rng` is missing.
         """
-        if not (deterministic or isinstance(rng, np.random.Generator)):
-            raise ValueError(
-                f"rng: found {str(rng).lower()}, needed to explore: numpy.random.default_rng(seed)"
-            )
-        noise = self.explore(rng) if rng is not None and not deterministic else None
-        parts, n = self._parts(obs)
-        for values in parts.values():
-            is_real = values.dtype.kind in "bifu"
-            if not is_real or not (np.abs(values) < FLOAT32_MAX).all():
-                fault = f"not finite, not real or beyond float32 ({values.dtype})"
-                raise ValueError(f"obs: {fault}, allowed finite numbers")
-        if n == 0:
-            return self.to_env(np.empty((0, self._low.size), np.float32))
-        each = {k: v[None] if n is None else v for k, v in parts.items()}
-        rows = ({k: v[i] for k, v in each.items()} for i in range(n or 1))
+        noise = None
+        if not deterministic:
+            if rng is None:
+                raise ValueError(
+                    "rng: found none, needed to explore: numpy.random.default_rng(seed)"
+                )
+            noise = self.explore(rng)
+        parts, is_batch = self._parts(obs)
+        rows = [parts]
+        if is_batch:
+            n = len(next(iter(parts.values())))
+            rows = [{key: part[i] for key, part in parts.items()} for i in range(n)]
         views = [self.inputs.read(row.get("", row)) for row in rows]
-        actions = self._actions(views, noise)
-        return self.to_env(actions[0] if n is None else actions)
+        if not np.isfinite(views).all():
+            raise ValueError("obs: not finite, or beyond float32")
+        actions = self.to_env(self._actions(views, noise))
+        return actions if is_batch else actions[0]
 
     def predict(
         self,
@@ -200,27 +205,14 @@ class Policy:
         return self.act(observation, deterministic, rng), None
 
     def read(self, obs: Any) -> Any:
-        """Return what is kept of an observation from an environment.
+        """Return what is kept of one observation of the environment.
 
-        UnfitError where it is not of the shape that the environment's space says.
+        ValueError where it has another shape, DivergenceError where it is not finite.
         """
-        try:
-            parts, n = self._parts(obs)
-        except ValueError as error:
-            raise UnfitError(
-                f"env: what it returns is not what its space says: {error}"
-            ) from error
-        if n is not None:
-            raise UnfitError(
-                "env: found a batch of observations, allowed one of the space's shape"
-            )
-        for part in parts.values():
-            if part.dtype.kind not in "bifu":
-                kind = part.dtype
-                raise UnfitError(
-                    f"env: found observations of type {kind}, allowed real numbers"
-                )
-        return self.inputs.read(obs)
+        _, is_batch = self._parts(obs)
+        if is_batch:
+            raise ValueError("obs: found a batch, allowed one observation")
+        return finite(self.inputs.read(obs), OBS)
 
     def choose(self, view: Any, noise: Noise | None = None) -> Array:
         """Return the action (d,) for what was kept of one observation, where bounds are ±1."""
@@ -235,21 +227,17 @@ class Policy:
         )  # rounding may exceed them
 
     def require_spaces(self, spaces: Spaces) -> None:
-        """Raise ValueError unless observations and actions have the shapes that the policy knows."""
-        for name, offered, mine in (
-            ("observations", _shown(_read(spaces.shapes)), _shown(self.shapes)),
-            ("actions", str(spaces.action.shape), str(self._low.shape)),
-        ):
-            if offered != mine:
-                raise ValueError(
-                    f"env: found {name} of shape {offered}, the policy has {mine}"
-                )
-        bounds, known = action_bounds(spaces.action), (self._low, self._high)
-        if not np.array_equal(bounds, known):
-            found, own = (
-                f"from {a.min():g} to {b.max():g}" for a, b in (bounds, known)
+        """Raise ValueError unless observations and actions are as those that the policy knows."""
+        shapes, actions = seen_shapes(spaces), spaces.action
+        if shapes != self.shapes:
+            raise ValueError(
+                f"env: found observations of shape {_shown(shapes)}, the policy has "
+                f"{_shown(self.shapes)}"
             )
-            raise ValueError(f"env: found actions {found}, the policy's are {own}")
+        if actions != self.action_space:
+            raise ValueError(
+                f"env: found actions {actions}, the policy has {self.action_space}"
+            )
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], noise: Noise | None) -> Array:
@@ -260,37 +248,32 @@ class Policy:
             )
         return actions if noise is None else noise(actions)
 
-    def _parts(self, obs: Any) -> tuple[dict[str, Array], int | None]:
-        """Return the parts of an observation that are seen, and how many are in a batch of them.
-
-        That is None for one observation by itself. ValueError where it is neither.
-        """
-        if isinstance(obs, tuple):
-            raise ValueError(
-                "obs: found a tuple; env.reset() returns (observation, info)"
-            )
+    def _parts(self, obs: Any) -> tuple[dict[str, Array], bool]:
+        """Return the parts of an observation that are seen, and whether it is a batch of them."""
         whole = obs if isinstance(obs, Mapping) else {"": obs}
-        if not whole.keys() >= self.shapes.keys():
-            got = sorted(obs) if isinstance(obs, Mapping) else type(obs).__name__
-            is_one = "" in self.shapes
-            expected = "an array" if is_one else f"a Dict with {list(self.shapes)}"
-            raise ValueError(f"obs: found {got}, expected {expected}")
+        if isinstance(obs, tuple) or not whole.keys() >= self.shapes.keys():
+            found = [*obs] if isinstance(obs, Mapping) else f"a {type(obs).__name__}"
+            expected = (
+                "an array" if "" in self.shapes else f"a dict of {[*self.shapes]}"
+            )
+            raise ValueError(f"obs: found {found}, expected {expected}")
         parts = {key: np.asarray(whole[key]) for key in self.shapes}
         shapes = {key: part.shape for key, part in parts.items()}
         if shapes == self.shapes:
-            return parts, None
-        sizes = {shape[:1] for shape in shapes.values()}
+            return parts, False
+        batch = {shape[:1] for shape in shapes.values()}
         rest = {key: shape[1:] for key, shape in shapes.items()}
-        if rest == self.shapes and len(sizes) == 1:
-            return parts, sizes.pop()[0]
+        if rest == self.shapes and len(batch) == 1:
+            return parts, True
         raise ValueError(
             f"obs: found shape {_shown(shapes)}, expected {_shown(self.shapes)}, or a batch of such"
         )
 
 
-def _read(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+def seen_shapes(spaces: Spaces) -> dict[str, tuple[int, ...]]:
     """Return the shapes that a network sees: the achieved goal is for learning alone."""
-    return {key: shape for key, shape in shapes.items() if key != "achieved_goal"}
+    shapes = spaces.shapes
+    return {key: shapes[key] for key in shapes if key != "achieved_goal"}
 
 
 def _shown(shapes: dict[str, tuple[int, ...]]) -> str:
@@ -299,32 +282,12 @@ def _shown(shapes: dict[str, tuple[int, ...]]) -> str:
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
     """Return a policy's network with `hidden` units in its layers."""
-    return MLP(network_sizes(hidden, spaces), generator, tanh=True)
-
-
-def require_layers(
-    hidden: Sequence[int], spaces: Spaces, weights: Mapping[str, Tensor]
-) -> None:
-    """Raise ValueError unless saved `weights` are those of such a policy's network.
-
-    So a small file, which is cheap to look at, cannot ask for a large network.
-    """
-    is_whole = all(part.is_contiguous() for part in weights.values())
-    shapes = [tuple(part.shape) for part in weights.values()]
-    if shapes != layer_shapes(network_sizes(hidden, spaces)) or not is_whole:
-        raise ValueError(
-            f"actor: found {len(weights)} weights and biases, which do not fit `hidden` and the spaces"
-        )
-
-
-def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
-    """Return the sizes of all layers of a policy's network, the inputs first."""
     sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
     if 0 in sizes:
         raise ValueError(
             "observation and action space: found an empty one, allowed entries in both"
         )
-    return sizes
+    return MLP(sizes, generator, tanh=True)
 
 
 def on_cpu(network: MLP) -> MLP:

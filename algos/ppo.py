@@ -7,7 +7,6 @@ PPO-for-Beginners (Yu 2023), the code that the paper used: whole episodes, GAE w
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -21,8 +20,15 @@ from scipy.special import betaln
 from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
-from .learner import Counts, Learner, LearnerConfig, RewardScale, restore
-from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
+from .learner import (
+    Counts,
+    Learner,
+    LearnerConfig,
+    RewardScale,
+    restore,
+    states,
+)
+from .networks import MLP, flushed_denormals, start_orthogonal
 from .policy import (
     FlatInputs,
     Noise,
@@ -30,6 +36,7 @@ from .policy import (
     Spaces,
     TaxelScale,
     action_size,
+    finite,
     input_stats,
     new_actor,
     on_cpu,
@@ -38,16 +45,13 @@ from .rollout import (
     Episode,
     PlayEpisode,
     discounted,
-    finite,
     largest_return,
-    require_progress,
-    require_transitions,
     summary,
+    usable,
 )
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
-MAX_GROWTH = 10.0  # of the values of a new critic; beyond returns, too, it has diverged
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -55,7 +59,7 @@ MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside fl
 class PPOConfig(LearnerConfig):
     """Hyperparameters; defaults are the paper's (Methods, PyBullet set-up) unless noted."""
 
-    hidden: tuple[int, ...] = (256, 256, 256)
+    hidden: tuple[Count, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
     actor_lr: Positive32 = 3e-4
     """Learning rate of the actor (Adam)."""
@@ -115,7 +119,6 @@ class PPOConfig(LearnerConfig):
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
-        require_hidden(self.hidden)
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError(
                 "n_minibatches and minibatch_size: found both, allowed one of them; "
@@ -296,11 +299,9 @@ class PPO(Learner):
     """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    undoable = ("actor", "gaussian", "actor_adam", "std_adam")
     trained = ("critic", "actor_adam", "std_adam", "critic_adam")
-    saved = (*policy_parts, *trained, "silence", "rewards")
-    bounds = ("first_values", "lowest_return", "highest_return")
-    plain = ("env_steps", "epochs", "before_update", *bounds)
+    saved = (*policy_parts, *trained, "silence", "reward_scale")
+    plain = ("env_steps", "epochs", "before_update")
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
@@ -324,10 +325,8 @@ class PPO(Learner):
         self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
         self.epochs, self.episodes = 0, list[Episode]()
         self.silence = Silence()
-        self.before_update: dict[str, Any] = {}  # states of `undoable`
-        self.rewards = RewardScale(config.normalize_rewards)
-        self.lowest_return = self.highest_return = 0.0  # of all episodes, 0 included
-        self.first_values = 0.0  # how far those of the new critic reach
+        self.before_update: dict[str, Any] = {}  # states of `undoable`, by name
+        self.reward_scale = RewardScale(config.normalize_rewards)
 
     def describe(self) -> str:
         config = self.config
@@ -360,13 +359,12 @@ class PPO(Learner):
             self.anneal(self.actor_adam, self.std_adam, self.critic_adam)
 
     def wants_more(self, episodes: list[Episode]) -> bool:
-        """Return whether an epoch has too few steps; episodes without one count as one."""
-        require_progress(episodes)
-        return sum(max(1, len(e)) for e in episodes) < self.config.steps_per_epoch
+        """Return whether an epoch has too few steps."""
+        return sum(map(len, usable(episodes))) < self.config.steps_per_epoch
 
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Keep the epoch's episodes to learn from; return counts and means."""
-        self.episodes = require_transitions(episodes)
+        self.episodes = usable(episodes)
         # So an epoch learns with the key after the one that it was played with.
         self.epochs += 1
         stats = summary(episodes)
@@ -382,11 +380,8 @@ class PPO(Learner):
         thread where there are two cores. They meet after it, where `target_kl` may end the passes. In a
         silent epoch, only the critic is updated.
         """
-        config, batch = self.config, self._batch()
-        # After the batch, whose log_prob is of the actor that played.
-        verdict = self.judge()
+        config, (batch, verdict) = self.config, self.prepare()
         learns = verdict == "learn"
-        self._keep_or_undo(verdict)
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
             for minibatches in self.shuffled(len(batch.obs)):
@@ -408,11 +403,20 @@ class PPO(Learner):
             "kl": losses.kl.mean().item(),
             "clip_fraction": losses.clip_fraction.mean().item(),
         }
-        self.require_finite([*figures.values()], self.actor, self.gaussian, self.critic)
-        explained = explained_variance(batch.values, batch.returns)
-        return figures | self.after_update(explained, verdict, len(value_losses))
+        self.check_learned([*figures.values()], self.actor, self.gaussian, self.critic)
+        return figures | self.after_update(batch, verdict, len(value_losses))
 
-    def judge(self) -> Verdict:
+    def prepare(self) -> tuple[Transitions, Verdict]:
+        """Return what to learn from, and the verdict on the last update: that is kept, or undone."""
+        batch = self._batch()  # its log_prob is of the actor that played
+        verdict = self._judge()
+        if verdict == "undo":
+            restore(self.undoable, self.before_update)
+        elif verdict == "learn" and self.silence.can_undo:
+            self.before_update = states(self.undoable)
+        return batch, verdict
+
+    def _judge(self) -> Verdict:
         """Return what the epoch's returns say of the last update."""
         # Returns of episodes that the physics cut off say nothing.
         whole = [e for e in self.episodes if not e.faults["diverged"]]
@@ -428,12 +432,12 @@ class PPO(Learner):
             yield order.tensor_split(self.config.minibatches(n))
 
     def after_update(
-        self, explained: float, verdict: Verdict, n_updates: int
+        self, batch: Transitions, verdict: Verdict, n_updates: int
     ) -> dict[str, float]:
         """Take the epoch's observations into the moments; return what there is to say beside losses."""
         self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self.episodes]))
         return {
-            "explained_variance": explained,
+            "explained_variance": explained_variance(batch.values, batch.returns),
             "entropy": self.gaussian.entropy(),
             "action_std": float(self.gaussian.std().mean()),
             "undone": int(verdict == "undo"),
@@ -481,20 +485,19 @@ class PPO(Learner):
             losses.append(loss.detach())
         return losses
 
-    def _keep_or_undo(self, verdict: Verdict) -> None:
-        """Keep the actor before an update that may have to be undone, or go back to the one kept."""
-        parts = {name: getattr(self, name) for name in self.undoable}
-        if verdict == "undo":
-            restore(parts, self.before_update)
-        elif verdict == "learn" and self.silence.can_undo:
-            states = {name: part.state_dict() for name, part in parts.items()}
-            self.before_update = copy.deepcopy(states)
+    @property
+    def undoable(self) -> dict[str, Any]:
+        """Parts of the learner, by name, that an undone update puts back."""
+        names = "actor", "gaussian", "actor_adam", "std_adam"
+        return {name: getattr(self, name) for name in names}
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
+        config = self.config
         # Where the unit of rewards grows, the critic's values in the old one stay.
-        self.critic.scale_outputs(self.rescale())
+        largest = max(largest_return(e.rewards, config.gamma) for e in self.episodes)
+        self.critic.scale_outputs(self.reward_scale.grow(largest))
         inputs = FlatInputs(self.obs_stats.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
@@ -503,69 +506,32 @@ class PPO(Learner):
         taken = np.concatenate([np.stack(e.actions) for e in self.episodes])
         actions, advantages, returns, predicted = (
             torch.from_numpy(column.astype(np.float32)).to(self.device)
-            for column in (taken, *self.targets(values))
+            for column in (taken, *self._targets(values))
         )
         # Of the actor that played; where it is then undone, this epoch does not update it.
         log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
         return Transitions(acted_on, actions, log_prob, advantages, returns, predicted)
 
-    def rescale(self) -> float:
-        """Raise the scale of rewards to the largest return; return the factor for critics."""
-        gamma = self.config.gamma
-        return self.rewards.grow(
-            max(largest_return(e.rewards, gamma) for e in self.episodes)
-        )
-
-    def targets(self, values: Sequence[Array]) -> tuple[Array, Array, Array]:
+    def _targets(self, values: Sequence[Array]) -> tuple[Array, Array, Array]:
         """Return normalized advantages, returns and values (n,) of the epoch's transitions.
 
         `values` are the critic's of each episode's observations, (length + 1,).
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        self._warn_of_divergence(predicted * self.rewards.unit)
         # No value of a last observation is ever learned. Where it is like no other, as with time in
         # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
             goes_on = self._goes_on(episode)
             last_value = np.clip(each[-1], lowest, highest) if goes_on else 0.0
-            rewards = np.array(episode.rewards) / self.rewards.unit
+            rewards = np.array(episode.rewards) / self.reward_scale.unit
             advantages.append(
                 gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
             )
         advantage = np.concatenate(advantages)
         returns = finite(advantage + predicted, "a return")
         return normalize(advantage), returns, predicted
-
-    def _warn_of_divergence(self, values: Array) -> None:
-        """Warn where the critic's values (n,) are far beyond all returns that episodes could have had.
-
-        Where more would have followed an episode, it could have been the largest reward forever. New
-        critics are off by what their weights give them, and nothing is known before the first reward.
-        """
-        gamma, unit = self.config.gamma, self.rewards.unit
-        self.first_values = self.first_values or float(np.abs(values).max()) / unit
-        self.rewards.see(np.concatenate([e.rewards for e in self.episodes]))
-        bounds = self.rewards.lowest, self.rewards.highest
-        for episode, extreme in itertools.product(self.episodes, bounds):
-            rest = 0.0
-            if extreme and self._goes_on(episode):
-                rest = extreme / (1.0 - gamma) if gamma < 1.0 else extreme * math.inf
-            returns = discounted([*episode.rewards, rest], gamma)
-            self.lowest_return = min(self.lowest_return, *returns)
-            self.highest_return = max(self.highest_return, *returns)
-        low, high = self.lowest_return, self.highest_return
-        margin = high - low + MAX_GROWTH * self.first_values * self.rewards.unit
-        if (
-            low < high
-            and not low - margin <= values.min() <= values.max() <= high + margin
-        ):
-            self.warn_once(
-                "values",
-                f"the critic's values reach from {values.min():.3g} to {values.max():.3g}, but "
-                f"returns of the episodes seen lie between {low:.3g} and {high:.3g}: it has diverged",
-            )
 
     def _goes_on(self, episode: Episode) -> bool:
         """Return whether more would have followed: always where the physics diverged."""

@@ -3,52 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 import torch
+from torch import Tensor
 
 from . import Array
 from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
 Ends = Callable[[Array, Array], Array | None]
-Values = TypeVar("Values")
 COLUMNS = ("obs", "desired", "achieved", "action", "terminal")
 
 
-class Batch(NamedTuple, Generic[Values]):
+class Batch(NamedTuple):
     """Hold relabelled transitions, one a row: float32 arrays or tensors."""
 
-    obs: Values
-    goal: Values
+    obs: Any
+    goal: Any
     """The goal, of this and of the next step alike, (n, goal)."""
-    action: Values
-    reward: Values
+    action: Any
+    reward: Any
     """Rewards (n,)."""
-    next_obs: Values
-    terminal: Values
+    next_obs: Any
+    terminal: Any
     """1 where this transition ends the episode, with its goal, else 0, (n,).
 
     Learners that bootstrap all the same ignore it."""
 
 
-class Relabelled(NamedTuple, Generic[Values]):
+class Relabelled(NamedTuple):
     """Say which transitions were drawn, one a row, and what HER makes of them."""
 
-    slot: Values
-    step: Values
-    goal: Values
-    reward: Values
-    terminal: Values
+    slot: Any
+    step: Any
+    goal: Any
+    reward: Any
+    terminal: Any
 
 
 class Replay:
     """Keep episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
-    A slot has room for `max_steps` transitions and the last observation. Memory is taken when the
-    first episode is stored, and filled as episodes come.
+    A slot has room for `max_steps` transitions and the last observation.
     """
 
     rng: np.random.Generator
@@ -75,13 +73,17 @@ class Replay:
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
         n_obs, n_goal, n_actions = sizes
         widths = n_obs, n_goal, n_goal, n_actions, 1
-        self.sizes = dict(zip(COLUMNS, widths, strict=True))
+        self._ends_of_parts = np.cumsum([n_obs, n_goal])  # of an observation
         self.reward, self.ends = reward, ends
         self.n_episodes = 0
-        self._columns: dict[str, Array] = {}  # (slot, step, size)
-        self._lengths = np.zeros(0, np.int64)  # of the episode in each slot
-        # Slots, in the order in which they were filled.
-        self._unsaved: dict[int, None] = {}
+        # Zeros take memory page by page, when they are written to.
+        shape = self.n_slots, max_steps + 1
+        self._columns = {
+            name: np.zeros((*shape, width), np.float32)
+            for name, width in zip(COLUMNS, widths, strict=True)
+        }
+        self._lengths = np.zeros(self.n_slots, np.int64)  # of the episode in each slot
+        self._unsaved = list[int]()  # slots
 
     def __len__(self) -> int:
         """Return the number of transitions stored."""
@@ -90,25 +92,16 @@ class Replay:
     @property
     def nbytes(self) -> int:
         """Memory when full, in bytes."""
-        return self.n_slots * (self.max_steps + 1) * sum(self.sizes.values()) * 4
-
-    def require_memory(self, n_buffers: int = 1) -> None:
-        """Raise ValueError when there is not as much memory as `n_buffers` like this one take."""
-        available = psutil.virtual_memory().available
-        if self.nbytes * n_buffers > available:
-            raise ValueError(
-                f"buffer_size: found {self.n_slots * self.max_steps:,} transitions, which take "
-                f"{n_buffers} x {self.nbytes / 1e9:.2f} GB; allowed are the {available / 1e9:.2f} GB "
-                "that are free here"
-            )
+        return sum(column.nbytes for column in self._columns.values())
 
     def require_rewards(self, episode: Episode) -> None:
         """Raise ValueError when an episode's rewards do not follow from its goals.
 
         Those of relabelled transitions do.
         """
-        lived, columns = np.array(episode.rewards), self._as_columns(episode)
-        again = self.reward(columns["achieved"][1:], columns["desired"][1:])
+        lived = np.array(episode.rewards)
+        _, desired, achieved = self._parts(episode)
+        again = self.reward(achieved[1:], desired[1:])
         if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
             raise ValueError(
                 f"compute_reward: found {_short(again)} for an episode's goals, allowed what its steps "
@@ -126,39 +119,25 @@ class Replay:
         for episode in episodes:
             is_full = self.n_episodes == self.n_slots
             slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-            self._put(slot, self._as_columns(episode))
+            self._put(slot, episode)
             slots.append(slot)
         return np.array([*dict.fromkeys(slots)], np.int64)
 
-    def _as_columns(self, episode: Episode) -> dict[str, Array]:
-        """Return the steps of one episode: one more than it has transitions."""
-        ends = np.cumsum([self.sizes["obs"], self.sizes["desired"]])
-        views = np.split(np.stack(episode.obs), ends, axis=1)
-        action = np.pad(np.stack(episode.actions), ((0, 1), (0, 0)))
-        terminal = np.zeros((len(action), 1), np.float32)
-        terminal[len(episode) - 1] = episode.terminated
-        return dict(zip(COLUMNS, (*views, action, terminal), strict=True))
+    def _parts(self, episode: Episode) -> list[Array]:
+        """Return observations, desired and achieved goals (length + 1, ...) of an episode."""
+        return np.split(np.stack(episode.obs), self._ends_of_parts, axis=1)
 
-    def _put(self, slot: int, columns: dict[str, Array]) -> None:
-        """Write the steps of an episode, by column, into a slot."""
-        n_steps = len(columns["obs"]) - 1
-        if n_steps > self.max_steps:
-            raise ValueError(
-                f"max_episode_steps: {self.max_steps}, but found {n_steps} steps"
-            )
-        if not self._columns:
-            # Zeros take memory page by page, when they are written to.
-            shape = self.n_slots, self.max_steps + 1
-            self._lengths = np.zeros(self.n_slots, np.int64)
-            self._columns = {
-                name: np.zeros((*shape, size), np.float32)
-                for name, size in self.sizes.items()
-            }
-        for name, values in columns.items():
-            self._columns[name][slot, : n_steps + 1] = values
-        self._lengths[slot] = n_steps
+    def _put(self, slot: int, episode: Episode) -> None:
+        """Write an episode into a slot."""
+        n, columns = len(episode), self._columns
+        for name, part in zip(COLUMNS, self._parts(episode), strict=False):
+            columns[name][slot, : n + 1] = part
+        columns["action"][slot, :n] = episode.actions
+        columns["terminal"][slot] = 0.0
+        columns["terminal"][slot, n - 1] = episode.terminated
+        self._lengths[slot] = n
         self.n_episodes = max(self.n_episodes, slot + 1)
-        self._unsaved[slot] = None
+        self._unsaved.append(slot)
 
     def episode(self, slot: int) -> tuple[Array, Array]:
         """Return observations (length + 1, obs) and actions (length + 1, action) in a slot."""
@@ -167,9 +146,7 @@ class Replay:
 
     # -- sampling ----------------------------------------------------------------------------
 
-    def sample(
-        self, n: int, replay_p: float, slots: Array | None = None
-    ) -> Batch[Array]:
+    def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch:
         """Return `n` transitions, relabelled as `relabel` does it."""
         slot, t, goal, reward, terminal = self.relabel(n, replay_p, slots)
         obs, action = self._columns["obs"], self._columns["action"]
@@ -179,7 +156,7 @@ class Replay:
 
     def relabel(
         self, n: int, replay_p: float, slots: Array | None = None
-    ) -> Relabelled[Array]:
+    ) -> Relabelled:
         """Draw `n` transitions, uniform over all or over those in `slots`, and give some new goals.
 
         HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that
@@ -242,32 +219,24 @@ class Replay:
 
     # -- saving ------------------------------------------------------------------------------
 
-    def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        """Return the slots written since the last call, or all; tensors, for `add_experience`.
-
-        All of it is a view, good until the next episode is stored: a copy would take the memory
-        of the replay once more.
-        """
-        slots = [*range(self.n_episodes)] if everything else [*self._unsaved]
-        self._unsaved = {}
-        if not slots:
+    def new_experience(self) -> dict[str, Tensor]:
+        """Return the slots written since the last call, as tensors, for `add_experience`."""
+        if not self._unsaved:
             return {}
-        rows = slice(self.n_episodes) if everything else slots
-        parts = {name: values[rows] for name, values in self._columns.items()}
-        parts |= {"slots": np.array(slots, np.int64), "lengths": self._lengths[slots]}
+        slots = np.array([*dict.fromkeys(self._unsaved)], np.int64)
+        self._unsaved = []
+        parts: dict[str, Array] = {k: v[slots] for k, v in self._columns.items()}
+        parts |= {"slots": slots, "lengths": self._lengths[slots]}
         return {name: torch.from_numpy(values) for name, values in parts.items()}
 
-    def add_experience(self, saved: dict[str, Any]) -> None:
+    def add_experience(self, saved: dict[str, Tensor]) -> None:
         """Put back what `new_experience` returned, in the same slots."""
         parts = {name: values.numpy() for name, values in saved.items()}
-        slots, lengths = parts.pop("slots"), parts.pop("lengths")
-        if "boolean" in parts:  # 0.5.0 kept them apart
-            parts["obs"] = np.concatenate([parts["obs"], parts.pop("boolean")], axis=1)
-        for name, size in self.sizes.items():
-            parts[name] = parts[name].reshape(len(slots), self.max_steps + 1, size)
-        for i, slot in enumerate(slots):
-            self._put(slot, {name: parts[name][i, : lengths[i] + 1] for name in parts})
-        self._unsaved = {}  # it is saved
+        slots = parts.pop("slots")
+        self._lengths[slots] = parts.pop("lengths")
+        for name, values in parts.items():
+            self._columns[name][slots] = values
+        self.n_episodes = max(self.n_episodes, *(slots + 1))
 
 
 def _short(rewards: Array) -> str:

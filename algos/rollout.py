@@ -14,10 +14,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from . import Array, Communicator, DivergenceError, UnfitError
-from .policy import FLOAT32_MAX, Policy
+from . import Array, Communicator, DivergenceError, EndlessError
+from .policy import Policy, finite
 
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
+REWARD = "the reward of the environment"
 # Steps of an episode that is thought to have an end.
 MAX_LENGTH = 20_000
 # Episodes in a row without a step, from which nothing can be learned.
@@ -48,10 +49,6 @@ class Episode:
     seed: int = 0
     """The seed of its reset."""
 
-    def add(self, policy: Policy, obs: Any) -> None:
-        """Keep the next observation; DivergenceError where it is not finite."""
-        self.obs.append(finite(policy.read(obs), "an observation of the environment"))
-
     def __len__(self) -> int:
         """Return the number of transitions."""
         return len(self.rewards)
@@ -74,26 +71,25 @@ class PlayEpisode:
         One that cannot begin, because the reset raises a FloatingPointError, has no step and counts
         as diverged.
 
-        Raises DivergenceError when an observation or a reward is not finite, and UnfitError when
-        the episode does not end or the environment returns what its spaces do not say.
+        Raises DivergenceError when an observation or a reward is not finite, and EndlessError when
+        the episode does not end.
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = policy.explore(rng) if self.explores else None
         episode = Episode(seed=int(rng.integers(2**31)))
         try:
-            start = env.reset(seed=episode.seed)
+            obs, _ = env.reset(seed=episode.seed)
         except FloatingPointError as error:
             episode.faults["diverged"], episode.success = 1, 0.0
             episode.info = {"error": str(error)}
             return episode
-        first, _ = _returned(start, "reset", "obs", "info")
-        episode.add(policy, first)
+        episode.obs.append(policy.read(obs))
         is_done = False
         while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
             is_done = _step(env, policy, action, episode)
             if not is_done and len(episode) == MAX_LENGTH:
-                raise UnfitError(
+                raise EndlessError(
                     f"env: found an episode that goes on after {MAX_LENGTH:,} steps, allowed are "
                     "episodes that end: give it a time limit (max_episode_steps)"
                 )
@@ -104,51 +100,19 @@ def _step(
     env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode
 ) -> bool:
     """Take one step and add it to the episode; return whether that has ended."""
-    names = "obs", "reward", "terminated", "truncated", "info"
-    stepped = _returned(env.step(policy.to_env(action)), "step", *names)
-    obs, reward, terminated, truncated, info = stepped
-    if not isinstance(info, dict):
-        raise UnfitError(
-            f"env: found {type(info).__name__} for a step's info, allowed a dict"
-        )
+    obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
     episode.info = info
     for fault in FAULTS:
-        episode.faults[fault] += int(_number(info.get(fault, 0), f"{fault} in info"))
-    success = info.get("is_success", info.get("success"))
-    episode.success = math.nan
-    if success is not None:
-        episode.success = _flag(success, "is_success in info")
+        episode.faults[fault] += int(info.get(fault, 0))
+    episode.success = float(info.get("is_success", info.get("success", math.nan)))
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
-    episode.add(policy, obs)
+    episode.obs.append(policy.read(obs))
     episode.actions.append(action)
-    episode.rewards.append(_number(reward, "reward"))
-    episode.terminated = bool(_flag(terminated, "terminated"))
-    return bool(_flag(truncated, "truncated")) or episode.terminated
-
-
-def _returned(values: Any, method: str, *names: str) -> Any:
-    """Return what a method of an environment returned; UnfitError where it is no such tuple."""
-    if isinstance(values, tuple) and len(values) == len(names):
-        return values
-    is_tuple = isinstance(values, tuple)
-    found = f"{len(values)} values" if is_tuple else type(values).__name__
-    raise UnfitError(f"env: found {found} from {method}, allowed ({', '.join(names)})")
-
-
-def _flag(value: Any, what: str) -> float:
-    """Return what an environment returned as 0 or 1; UnfitError where it is neither."""
-    if np.ndim(value) or value not in (0, 1):
-        raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed 0 or 1")
-    return float(value)
-
-
-def _number(value: Any, what: str) -> float:
-    """Return what an environment returned as a finite float; UnfitError where it is no number."""
-    if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
-        raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
-    return float(finite(value, f"the {what} of the environment"))
+    episode.rewards.append(finite(float(reward), REWARD))
+    episode.terminated = bool(terminated)
+    return episode.terminated or bool(truncated)
 
 
 def summary(
@@ -190,28 +154,16 @@ def largest_return(rewards: Sequence[float], gamma: float) -> float:
     return max([0.0, *map(abs, discounted(rewards, gamma))])
 
 
-def require_transitions(episodes: list[Episode]) -> list[Episode]:
-    """Return the episodes that have transitions; DivergenceError when there is none."""
-    usable = [episode for episode in episodes if len(episode)]
-    if not usable:
-        reason = episodes[-1].info.get("error")
+def usable(episodes: list[Episode]) -> list[Episode]:
+    """Return the episodes that have transitions.
+
+    DivergenceError when the last `MAX_FAILURES` have none.
+    """
+    last = episodes[-MAX_FAILURES:]
+    if len(last) == MAX_FAILURES and not any(map(len, last)):
+        reason = last[-1].info.get("error", "the physics failed")
         raise DivergenceError(
-            f"all of {len(episodes)} episodes diverged at their first step or could not begin"
-            + (f" (the last: {reason})" if reason else "")
+            f"{MAX_FAILURES} episodes in a row diverged at their first step or could not begin "
+            f"(the last: {reason})"
         )
-    return usable
-
-
-def require_progress(episodes: list[Episode]) -> None:
-    """Raise DivergenceError when the last `MAX_FAILURES` episodes have no transitions."""
-    if len(episodes) >= MAX_FAILURES:
-        require_transitions(episodes[-MAX_FAILURES:])
-
-
-def finite(values: Any, what: str) -> Any:
-    """Return `values` if all are finite in float32; DivergenceError where they are not."""
-    is_finite = np.abs(values) <= FLOAT32_MAX
-    if not is_finite.all():
-        which = f" (entry {np.argmin(is_finite)})" if np.size(values) > 1 else ""
-        raise DivergenceError(f"{what} is not finite, or beyond float32{which}")
-    return values
+    return [episode for episode in episodes if len(episode)]

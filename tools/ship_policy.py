@@ -22,12 +22,12 @@ def ship(run: Path, folder: Path) -> None:
     """Write `folder`, anew where it holds such a policy; InputError where it holds anything else."""
     source, target = RunDir(run), RunDir(folder)
     config = source.read_config()
-    data = source.read_checkpoint(config)
+    data = source.read_checkpoint()
     parts = (*algos.get(config.run.algo)[1].policy_parts, "env_steps")
     state = {name: data["ranks"][0][name] for name in parts}
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        shipped = target.read_checkpoint(target.read_config())
+        shipped = target.read_checkpoint()
         if "critic" in shipped["ranks"][0]:
             raise InputError(
                 f"{folder}: found a whole run, allowed a new folder or a policy's"

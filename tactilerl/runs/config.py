@@ -7,7 +7,6 @@ decide which dataclasses there are and what the defaults are.
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -103,8 +102,6 @@ class RunConfig:
         for part in (self.scene, self.learner):
             if part is not None:
                 validation.validate(part)
-        if (self.scene is None) == hands.is_hand(self.run.env):
-            raise ValueError(f"env: found {self.run.env!r}, which does not fit scene")
 
     @property
     def make_env(self) -> Callable[..., Any]:
@@ -177,24 +174,14 @@ class RunConfig:
         parts = {name: dataclasses.asdict(part) for name, part in self.parts.items()}
         return dict.fromkeys(PARTS) | parts
 
-    def identity(self) -> dict[str, Any]:
-        """Return what makes it this run: plain values without those that may change on resume."""
-        parts: dict[str, Any] = json.loads(json.dumps(self.as_dict()))
-        free = FREE_ON_RESUME
-        if self.learner.anneals:  # with the length of the run
-            free = free - {"total_timesteps"}
-        for name in free:
-            del parts["run"][name]
-        return parts
-
-    def difference(self, other: dict[str, Any]) -> str | None:
-        """Return the first field in which `other`, an identity, is another run; None if none."""
-        mine = self.identity()
+    def difference(self, other: RunConfig) -> str | None:
+        """Return the first field in which `other` is another run; None if it may continue this one."""
+        # What is annealed follows from the length.
+        free = FREE_ON_RESUME - {"total_timesteps" if self.learner.anneals else ""}
         for name, part in self.parts.items():
-            usual = json.loads(json.dumps(dataclasses.asdict(type(part)())))
-            theirs = usual | (other.get(name) or {})
-            for key, value in mine[name].items():
-                if theirs[key] != value:
+            theirs = vars(getattr(other, name))
+            for key, value in vars(part).items():
+                if key not in free and theirs[key] != value:
                     why = LENGTH_COUNTS if key == "total_timesteps" else ""
                     return f"{key}: found {theirs[key]!r}, the run was made with {value!r}{why}"
         return None
@@ -257,8 +244,8 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         if data["scene"] is not None:
             scene = validation.fill(GraspConfig, data["scene"], "scene")
         learner = validation.fill(config_type, data["learner"], "learner")
-        config = RunConfig(run, scene, learner)
-        config.validate()
-        return config
+        return RunConfig(run, scene, learner)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"not a configuration of this version: {error}") from error
+        raise InputError(
+            f"not a configuration of this version, which reads runs of 0.5.0 on: {error}"
+        ) from error

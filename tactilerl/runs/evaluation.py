@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable
 from functools import partial
@@ -39,26 +40,23 @@ class OthersPolicy:
             )
         if "deterministic" in inspect.signature(self.choose_for).parameters:
             self.choose_for = partial(self.choose_for, deterministic=not stochastic)
-        self.keys = [*getattr(spaces.observation, "spaces", ())]
-        self.action = spaces.action
+        self.shape = spaces.action.shape or ()
 
     def explore(self, rng: np.random.Generator) -> None:
         """Bring no noise: its own is not known here."""
 
     def read(self, obs: Any) -> Any:
-        """Return a copy of an observation: an array, or of a Dict its parts in order."""
-        parts = [np.array(obs[key]) for key in self.keys]
-        return tuple(parts) if self.keys else np.array(obs)
+        """Return a copy of an observation."""
+        return copy.deepcopy(obs)
 
     def choose(self, view: Any, noise: None = None) -> Any:
         """Return the action for an observation that `read` returned."""
-        obs = dict(zip(self.keys, view, strict=True)) if self.keys else view
-        action = self.choose_for(obs)
+        action = self.choose_for(view)
         return action[0] if isinstance(action, tuple) else action
 
     def to_env(self, action: Any) -> np.ndarray:
         """Return an action as an array; ValueError where it has another shape, or is not finite."""
-        values = require_array(action, self.action.shape or (), "policy: its action")
+        values = require_array(action, self.shape, "policy: its action")
         if not np.isfinite(values).all():
             raise ValueError(
                 f"policy: its action: found {values}"[:100] + ", not finite"

@@ -16,21 +16,19 @@ from ..algos.learner import progress_remaining
 from ..algos.policy import Policy
 from ..envs import validation
 from ..files import damage_named, require_path
-from . import spaces as saved_spaces
 from .config import RunConfig
-from .store import RunDir, read_tensors, write_tensors
+from .store import (
+    RunDir,
+    read_tensors,
+    spaces_from_json,
+    spaces_to_json,
+    write_tensors,
+)
 
 if TYPE_CHECKING:
     from ..algos.learner import Learner
 
 FORMAT = 1  # of a policy's file
-POLICY = {
-    "policy_format": int,
-    "algo": str,
-    "learner": str,
-    "spaces": str,
-    "state": dict,
-}
 
 
 class Trained(NamedTuple):
@@ -57,14 +55,13 @@ def load_policy(path: str | Path) -> Policy:
     with damage_named(path):
         config_type, learner_type = algos.get(data["algo"])
         config = validation.fill(config_type, json.loads(data["learner"]), "learner")
-        config.validate()
-        spaces = saved_spaces.from_json(data["spaces"])
+        spaces = spaces_from_json(data["spaces"])
         policy: Policy = learner_type.saved_policy(config, spaces, data["state"])
         return policy
 
 
 def _read(path: Path) -> dict[str, Any]:
-    return read_tensors(path, "policy", FORMAT, POLICY, "; for a run, give its folder")
+    return read_tensors(path, "policy", "policy_format", FORMAT)
 
 
 def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
@@ -86,7 +83,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
         "policy_format": FORMAT,
         "algo": algo,
         "learner": json.dumps(dataclasses.asdict(acting)),
-        "spaces": saved_spaces.to_json(learner.spaces),
+        "spaces": spaces_to_json(learner.spaces),
         "state": {name: state[name] for name in learner.policy_parts},
     }
     write_tensors(path, content)
@@ -99,9 +96,9 @@ def read_run(path: Path) -> Trained:
     """
     run_dir = RunDir(path)
     saved = run_dir.read_config()
-    data, file = run_dir.read_checkpoint(saved), run_dir.checkpoint_file
-    with damage_named(file):
-        spaces, state = saved_spaces.from_json(data["spaces"]), data["ranks"][0]
+    data = run_dir.read_checkpoint()
+    with damage_named(run_dir.checkpoint_file):
+        spaces, state = spaces_from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
         acting = saved.learner.acting(remaining)
         learner_type = algos.get(saved.run.algo)[1]

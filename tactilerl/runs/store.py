@@ -15,21 +15,20 @@ import csv
 import dataclasses
 import io
 import json
-import math
 import os
 import re
-import zipfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import torch
 
 from .. import machine
-from ..algos import recipes
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
+from ..algos.policy import Spaces, action_bounds
 from ..envs import hands, layouts, plugins, validation
-from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import (
     LEFTOVER,
@@ -39,11 +38,9 @@ from ..files import (
     replacing,
     writable,
 )
-from . import spaces
 from .config import (
     HAND_COPY,
     LAYOUT_COPY,
-    PARTS,
     RunConfig,
     defaults,
     from_dict,
@@ -51,55 +48,58 @@ from .config import (
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
-# The content of checkpoint.pt, and of a file in experience/.
-CHECKPOINT = {"format": int, "epoch": int, "config": str, "ranks": list}
-CHECKPOINT |= {"experience": list, "spaces": str}
-PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
-REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
-FIRST_COLUMNS = ["epoch", "env_steps"]  # the columns that every table begins with
 Row = dict[str, str]
 
 
-# What config.json holds, besides its format.
-RECORD: Values = {"run": Values, "scene": Values | None, "learner": Values}
-RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[Values]}
-
-
-# -- tensors in a file -----------------------------------------------------------------------
+# -- tensors and spaces in a file ------------------------------------------------------------
 
 
 def write_tensors(path: Path, content: Values) -> None:
     """Write tensors and plain values, whole or not at all; OSError where the disk is full."""
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
     with replacing(path) as file:
-        try:
-            torch.save(content, file)
-        except RuntimeError as error:  # PyTorch's, of what could not be written
-            if isinstance(cause := error.__context__, OSError):
-                raise OSError(cause.errno, cause.strerror, str(path)) from None
-            raise
+        file.write(buffer.getbuffer())
 
 
-def read_tensors(
-    path: Path, kind: str, version: int, types: dict[str, type], hint: str = ""
-) -> Values:
-    """Return the values that `write_tensors` wrote, of exactly these fields and `types`.
+def read_tensors(path: Path, kind: str, key: str, version: int) -> Values:
+    """Return the values that `write_tensors` wrote, whose `key` is the `version` of the format.
 
-    The first field is the `version` of the format. Tensors are mapped from the file, not copied.
-    Raise InputError where the file is damaged, of another kind, or would run code.
+    Tensors are mapped from the file, not copied. Raise InputError where the file is missing, damaged
+    or of another kind; code in it is never run.
     """
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
-    with damage_named(path, f"damaged or not a {kind}", missing):
-        with zipfile.ZipFile(path) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):
-                raise ValueError("it is compressed, as torch.save does not write it")
-            if changed := archive.testzip():
-                raise ValueError(f"{changed} was changed after it was written")
-        data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
-    if not isinstance(data, dict) or data.get(next(iter(types))) != version:
-        raise InputError(f"{path}: not a {kind} of format {version}{hint}")
-    if {name: type(value) for name, value in data.items()} != types:
-        raise InputError(f"{path}: damaged (found {', '.join(map(str, data))})")
-    return dict(data)
+    with damage_named(path, f"not a {kind} of this version", missing):
+        data: Values = torch.load(
+            path, weights_only=True, map_location="cpu", mmap=True
+        )
+        if data[key] != version:
+            raise ValueError(f"{key}: found {data[key]}, allowed {version}")
+    return data
+
+
+def spaces_to_json(spaces: Spaces) -> str:
+    """Return what a saved policy knows of spaces: shapes of observations and bounds of actions."""
+    low, high = action_bounds(spaces.action)
+    action = {"shape": low.shape, "dtype": str(low.dtype)}
+    action |= {"low": low.ravel().tolist(), "high": high.ravel().tolist()}
+    return json.dumps({"observation": spaces.shapes, "action": action})
+
+
+def spaces_from_json(text: str) -> Spaces:
+    """Return spaces of which `spaces_to_json` would say the same; observations have no bounds."""
+    known = json.loads(text)
+    boxes = {
+        key: gym.spaces.Box(-np.inf, np.inf, tuple(shape))
+        for key, shape in known["observation"].items()
+    }
+    action = known["action"]
+    low, high = (
+        np.array(action[name], action["dtype"]).reshape(action["shape"])
+        for name in ("low", "high")
+    )
+    bounds = gym.spaces.Box(low, high, dtype=low.dtype.type)
+    return Spaces(boxes.get("") or gym.spaces.Dict(boxes), bounds)  # type: ignore[arg-type]
 
 
 # -- the folder ------------------------------------------------------------------------------
@@ -122,7 +122,7 @@ class RunDir:
         if not os.path.exists(self.config_file):  # False for any name
             return config
         saved = self.read_config()
-        if difference := saved.difference(config.identity()):
+        if difference := saved.difference(config):
             raise InputError(
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
                 "makes another run)"
@@ -181,12 +181,7 @@ class RunDir:
         """Return the run's configuration; InputError when there is none, or an older version's."""
         data = self.record()
         with damage_named(self.config_file):
-            try:
-                config = from_dict({name: data[name] for name in PARTS})
-            except InputError as error:
-                version = data["provenance"][-1]["versions"].get("tactilerl")
-                made = f"made by version {version}; this one reads runs of 0.5.0 on"
-                raise InputError(f"{error} ({made})") from error
+            config = from_dict(data)
         hand = str(data.get("hand", ""))
         return dataclasses.replace(config, folder=self.path, hand=hand)
 
@@ -200,23 +195,10 @@ class RunDir:
 
     def append(self, *rows: dict[str, Any]) -> None:
         """Add rows to the table, on disk; the first row decides the columns."""
-        if not rows:
-            return
-        with open(self.table, "a+", newline="", encoding="utf-8") as file:
-            file.seek(0)
-            columns = next(csv.reader(file), None)
-            if unknown := set(columns or ()) - rows[0].keys():
-                raise InputError(
-                    f"{self.table}: found the columns {', '.join(sorted(unknown))}, which this run "
-                    "does not write; put back the header that belongs to it"
-                )
-            writer = csv.DictWriter(
-                file,
-                columns or list(rows[0]),
-                extrasaction="ignore",
-                lineterminator="\n",
-            )
-            if columns is None:
+        is_new = not self.table.exists()
+        with open(self.table, "a", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+            if is_new:
                 writer.writeheader()
             writer.writerows(rows)
             file.flush()
@@ -227,49 +209,23 @@ class RunDir:
         if not self.table.exists():
             return []
         with damage_named(self.table):
-            rows, problem = parse(self.table.read_bytes().decode("utf-8"))
-            if problem:
-                raise ValueError(problem)
-        return rows
+            return parse(self.table.read_text(encoding="utf-8"))
 
     def cut(self, epoch: int) -> None:
-        """Drop the rows that were written after the checkpoint of `epoch`, if there are some.
-
-        A table that is missing begins anew. InputError when this is not the checkpoint's table:
-        damaged, or of other epochs.
-        """
-        if not self.table.exists():
-            return
-        epochs = [int(row["epoch"]) for row in self.rows()]
-        first, last = (epochs[0], epochs[-1]) if epochs else (1, 0)
-        if epochs != [*range(first, last + 1)] or last < epoch:
-            raise InputError(
-                f"{self.table}: found epochs up to {last}, the checkpoint's is {epoch}; put back "
-                "the table that belongs to it, or move this one away to continue with a new one"
-            )
-        if first > epoch:  # so that a header that was cut off does not stay
-            self.table.unlink()
+        """Drop the rows that were written after the checkpoint of `epoch`, if there are some."""
+        kept = sum(int(row["epoch"]) <= epoch for row in self.rows())
+        if not kept:  # so that a header that was cut off does not stay
+            self.table.unlink(missing_ok=True)
             return
         lines = self.table.read_bytes().splitlines(keepends=True)
         with replacing(self.table) as file:
-            file.write(b"".join(lines[: epoch - first + 2]))
+            file.write(b"".join(lines[: kept + 1]))
 
     # -- checkpoint.pt -----------------------------------------------------------------------
 
-    def read_checkpoint(self, config: RunConfig) -> Values:
-        """Return the content of checkpoint.pt; InputError when damaged or of another configuration.
-
-        The states of the ranks are for their learners to judge.
-        """
-        path = self.checkpoint_file
-        data = read_tensors(path, "checkpoint", FORMAT, CHECKPOINT)
-        with damage_named(path):
-            difference = config.difference(json.loads(data["config"]))
-        if difference:
-            raise InputError(
-                f"{path}: from another configuration than config.json ({difference})"
-            )
-        return data
+    def read_checkpoint(self) -> Values:
+        """Return the content of checkpoint.pt; InputError when missing or damaged."""
+        return read_tensors(self.checkpoint_file, "checkpoint", "format", FORMAT)
 
 
 def _hand_file(path: Path) -> bytes:
@@ -289,126 +245,73 @@ def _hand_file(path: Path) -> bytes:
 
 
 def as_record(data: Any) -> Values:
-    """Return the values of a config.json; ValueError where they are something else."""
-    require_type(data, Values, "record")
-    if data.get("format") != FORMAT:
+    """Return the values of a config.json; ValueError where it is an older version's."""
+    if data["format"] != FORMAT:
         raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
-    for name, hint in RECORD.items():
-        require_type(data.get(name), hint, f"record.{name}")
-    for name in ("algo", "env"):
-        require_type(data["run"].get(name), str, f"record.run.{name}")
     return dict(data)
 
 
-def parse(text: str) -> tuple[list[Row], str]:
-    """Return the rows of a progress.csv, and what is wrong with the first that is damaged.
-
-    A last line that was cut off does not count.
-    """
-    reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
-    rows = list[Row]()
-    try:
-        if [*(reader.fieldnames or FIRST_COLUMNS)][:2] != FIRST_COLUMNS:
-            start = ",".join(FIRST_COLUMNS)
-            raise ValueError(f"its header does not begin with {start}")
-        for row in reader:
-            if None in row or None in row.values():
-                raise ValueError("found more or fewer fields than the header has")
-            int(row["epoch"]), int(row["env_steps"])
-            if any(math.isinf(float(field or 0)) for field in row.values()):
-                raise ValueError("found a number that is not finite")
-            rows.append(row)
-    except (ValueError, csv.Error) as error:
-        return rows, f"line {reader.line_num}: {error}"
-    return rows, ""
+def parse(text: str) -> list[Row]:
+    """Return the rows of a progress.csv; a last line that was cut off does not count."""
+    whole = text[: text.rfind("\n") + 1]
+    rows = [*csv.DictReader(io.StringIO(whole), strict=True)]
+    for row in rows:
+        int(row["epoch"]), int(row["env_steps"])
+    return rows
 
 
 class Checkpoint:
-    """The state of one run on disk; rank 0 alone writes."""
+    """The state of one run on disk.
 
-    def __init__(
-        self, run_dir: RunDir, config: RunConfig, learner: Learner, comm: Communicator
-    ) -> None:
+    Each rank writes what it remembers; rank 0 the rest.
+    """
+
+    def __init__(self, run_dir: RunDir, learner: Learner, comm: Communicator) -> None:
         """Save the state of `learner`, one rank of `comm`, in a folder; nothing is written yet."""
-        self.run_dir, self.config = run_dir, config
-        self.learner, self.comm = learner, comm
-        self._memory = learner.replay
-        self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
+        self.run_dir, self.learner, self.comm = run_dir, learner, comm
         self._epochs: list[int] = []  # whose experience is on disk
 
     def save(self, epoch: int) -> None:
         """Write the states of all ranks after `epoch`; every rank must call it."""
-        is_anew = self.comm.all_gather(self.comm.rank == 0 and self._has_outgrown())[0]
-        added: Values = {}
-        if self._memory is not None:
-            added = self._memory.new_experience(everything=bool(is_anew))
-        for rank, experience in enumerate(self.comm.receive(added)):
-            if experience:
-                make_folder(self.run_dir.experience_folder)
-                about = {**self._about, "epoch": epoch, "rank": rank}
-                content = {**about, "experience": experience}
-                write_tensors(self._part(epoch, rank), content)
-        states = list(self.comm.receive(_compact(self.learner.state_dict())))
-        if added:
-            self._epochs = [*([] if is_anew else self._epochs), epoch]
+        replay = self.learner.replay
+        if replay is not None and (added := replay.new_experience()):
+            make_folder(self.run_dir.experience_folder)
+            write_tensors(self._part(epoch), {"format": FORMAT, "experience": added})
+            self._epochs.append(epoch)
+        states = self.comm.all_gather(self.learner.state_dict())
         if self.comm.rank == 0:
-            content = {**self._about, "epoch": epoch, "ranks": states}
+            content = {"format": FORMAT, "epoch": epoch, "ranks": states}
             content["experience"] = self._epochs
-            content["spaces"] = spaces.to_json(self.learner.spaces)
+            content["spaces"] = spaces_to_json(self.learner.spaces)
             write_tensors(self.run_dir.checkpoint_file, content)
-            for path in self._files():  # rewritten, or of epochs that were lost
-                if int(path.stem.partition("-")[0]) not in self._epochs:
-                    path.unlink()
 
     def restore(self) -> int:
         """Load this rank's state and experience; return the epoch it was written after.
 
-        InputError when a file is damaged, of another configuration, or of other ranks.
+        InputError when a file is damaged, of another version, or of other ranks.
         """
-        data, rank = self.run_dir.read_checkpoint(self.config), self.comm.rank
+        data = self.run_dir.read_checkpoint()
         if (before := len(data["ranks"])) != self.comm.size:
             raise InputError(
                 f"ranks: found {self.comm.size}, the run was made with {before}; start it with "
                 f"mpirun -n {before}"
             )
-        state = data["ranks"][rank]
-        if self.learner.state_dict().keys() ^ state.keys():
-            versions = self.run_dir.record()["provenance"][-1]["versions"]
+        state, self._epochs = data["ranks"][self.comm.rank], data["experience"]
+        if state.keys() != self.learner.state_dict().keys():
             raise InputError(
-                f"{self.run_dir.checkpoint_file}: its learner has other parts than this "
-                f"version's; finish the run with version {versions.get('tactilerl')}, which made "
-                "it (evaluate and render do read it)"
+                f"{self.run_dir.checkpoint_file}: its learner has other parts than this version's; "
+                "finish the run with the version that made it (evaluate and render do read it)"
             )
         with damage_named(self.run_dir.checkpoint_file):
             self.learner.load_state_dict(state)
-            if self._memory is not None:
-                self._epochs = data["experience"]
-                for epoch in self._epochs:
-                    path = self._part(epoch, rank)
-                    part = read_tensors(path, "checkpoint", FORMAT, PART)
-                    self._memory.add_experience(part["experience"])
+            for epoch in self._epochs:
+                part = read_tensors(self._part(epoch), "experience", "format", FORMAT)
+                self.learner.replay.add_experience(part["experience"])
         return int(data["epoch"])
 
-    def _part(self, epoch: int, rank: int) -> Path:
-        return self.run_dir.experience_folder / f"{epoch:08d}-{rank:04d}.pt"
-
-    def _files(self) -> list[Path]:
-        return sorted(self.run_dir.experience_folder.glob("[0-9]" * 8 + "-*.pt"))
-
-    def _has_outgrown(self) -> bool:
-        if self._memory is None:
-            return False
-        size = sum(path.stat().st_size for path in self._files())
-        return size > REWRITE * self._memory.nbytes * self.comm.size
-
-
-def _compact(value: Any) -> Any:
-    """Return copies of all tensors: of a view, pickle would send all that it is a view of."""
-    if isinstance(value, torch.Tensor):
-        return value.clone()
-    if isinstance(value, dict):
-        return {key: _compact(part) for key, part in value.items()}
-    return [_compact(part) for part in value] if isinstance(value, list) else value
+    def _part(self, epoch: int) -> Path:
+        name = f"{epoch:08d}-{self.comm.rank:04d}.pt"
+        return self.run_dir.experience_folder / name
 
 
 def resolve(
@@ -420,8 +323,8 @@ def resolve(
 ) -> RunConfig:
     """Return the configuration before other choices: defaults, or that of the run in `resume`.
 
-    Imports the module that `env` names. Raise InputError where `resume` holds no such run, or a scene
-    is named as well.
+    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene or
+    a recipe is named as well.
     """
     module, colon, _ = str(env).partition(":")
     if colon:
@@ -429,11 +332,9 @@ def resolve(
             plugins.import_modules([module])
     if not resume:
         return defaults(algo, env, recipe, scene)
-    if scene:
-        raise InputError("scene: found with resume; a resumed run keeps its settings")
-    saved = RunDir(Path(resume)).read_config()
-    if recipe:
-        with input_errors():
-            learner = recipes.recipe(saved.run.algo, recipe)
-        saved = dataclasses.replace(saved, learner=learner)
-    return saved
+    for name, value in {"scene": scene, "recipe": recipe}.items():
+        if value:
+            raise InputError(
+                f"{name}: found with resume; a resumed run keeps its settings"
+            )
+    return RunDir(Path(resume)).read_config()

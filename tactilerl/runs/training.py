@@ -95,8 +95,8 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
             if events:
                 require_tensorboard()
         with writing(run_dir, config, comm):
-            checkpoint = Checkpoint(run_dir, config, learner, comm)
-            epoch = begin(checkpoint)
+            checkpoint = Checkpoint(run_dir, learner, comm)
+            epoch = begin(checkpoint, config)
             notes = [summary, paragraph("resolved", learner.describe())]
             if epoch:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
@@ -131,7 +131,7 @@ def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[
         held.enter_context(interrupts.in_order())
         try:
             yield
-        except algos.UnfitError as error:
+        except algos.EndlessError as error:
             raise InputError(str(error)) from error
         except (FloatingPointError, OSError, KeyboardInterrupt) as error:
             error.add_note(
@@ -140,7 +140,9 @@ def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[
             raise
 
 
-def begin(checkpoint: Checkpoint, batch: dict[str, Any] | None = None) -> int:
+def begin(
+    checkpoint: Checkpoint, config: RunConfig, batch: dict[str, Any] | None = None
+) -> int:
     """Restore a run's state and return the epoch after which it goes on; save what begins, at 0.
 
     `batch` says in config.json of which batch it is part. InputError where the goal was made smaller,
@@ -156,7 +158,7 @@ def begin(checkpoint: Checkpoint, batch: dict[str, Any] | None = None) -> int:
                 f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} "
                 "steps, allowed more: they count from the run's beginning"
             )
-    elif run_dir.rows() or any(run_dir.experience_folder.glob("*.pt")):
+    elif run_dir.rows():
         raise InputError(
             f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
             "begin another run with another --out"
@@ -164,7 +166,7 @@ def begin(checkpoint: Checkpoint, batch: dict[str, Any] | None = None) -> int:
     if comm.rank == 0:
         run_dir.cut(epoch)
         steps = learner.env_steps
-        run_dir.write_config(checkpoint.config, comm.size, epoch, steps, batch)
+        run_dir.write_config(config, comm.size, epoch, steps, batch)
     if not epoch:
         checkpoint.save(0)
     return epoch

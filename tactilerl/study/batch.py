@@ -6,7 +6,6 @@ faults, seed and numbers of their learners. Each has its own folder, as if it ha
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import signal
@@ -16,11 +15,11 @@ import time
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -28,9 +27,9 @@ import torch
 from .. import algos
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
-from ..algos.policy import flat_size
-from ..envs import layouts, tasks
+from ..envs import tasks
 from ..envs.batch import BY_GROUP, BatchEnv, require_batched
+from ..envs.grasp import GraspConfig
 from ..errors import InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
@@ -47,8 +46,6 @@ MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
 SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
-WORLD_BYTES = 300_000  # of physics: contacts, constraints and what they are solved with
-WEIGHT_COPIES = 10  # weights, gradients, Adam's moments, an actor to go back to
 
 
 def device() -> str:
@@ -74,8 +71,7 @@ def require_device() -> None:
 # -- the study's side ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """Runs that are trained together."""
 
     name: str
@@ -86,47 +82,14 @@ class Batch:
         """Number of worlds of each run."""
         return n_worlds(self.runs[0].config())
 
-    @property
-    def replay_nbytes(self) -> int:
-        """About the memory that its replays take on the host at most, in bytes."""
-        config = self.runs[0].config()
-        size, steps = (
-            getattr(config.learner, "buffer_size", 0),
-            config.run.total_timesteps,
-        )
-        with closing(config.make_env()) as env:
-            width = flat_size(env.observation_space)
-        kept = min(2 * steps, size)  # episodes may be half as long
-        return 4 * width * kept * len(self.runs)
-
-    @property
-    def nbytes(self) -> int:
-        """About the memory that it takes on the device, in bytes."""
-        config = self.runs[0].config()
-        learner: Any = config.learner
-        with closing(config.make_env()) as env:
-            width = flat_size(env.observation_space)
-        sizes = [width, *learner.hidden, 1]
-        weights = 2 * sum(a * b for a, b in itertools.pairwise(sizes))
-        steps = 4 * _longest(config) * (width + sum(learner.hidden))
-        numbers = WEIGHT_COPIES * weights + self.worlds * (WORLD_BYTES // 4 + steps)
-        if hasattr(learner, "buffer_size"):  # episodes may be half as long
-            kept = 2 * min(config.run.total_timesteps, learner.buffer_size)
-            numbers += width * (kept + 3 * learner.n_batches * learner.batch_size)
-        return 4 * numbers * len(self.runs)
-
-
-def _longest(config: RunConfig) -> int:
-    scene: Any = config.scene
-    return int(scene.max_episode_steps or tasks.TASKS[scene.task].max_episode_steps)
-
 
 def n_worlds(config: RunConfig) -> int:
     """Return how many worlds a run plays in: an epoch's or cycle's episodes at once."""
-    learner = config.learner
+    learner, scene = config.learner, cast(GraspConfig, config.scene)
     if hasattr(learner, "n_rollouts"):
         return int(learner.n_rollouts)
-    return math.ceil(SPARE * learner.steps_per_epoch / (_longest(config) / 2))
+    longest = scene.max_episode_steps or tasks.TASKS[scene.task].max_episode_steps
+    return math.ceil(SPARE * learner.steps_per_epoch / (longest / 2))
 
 
 def form(runs: Sequence[Run]) -> tuple[list[Batch], list[tuple[Run, str]]]:
@@ -161,27 +124,17 @@ def _common(config: RunConfig) -> Any:
 
 
 def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list[Job]:
-    """Return jobs that train runs as batches; print what is trained together, and what it takes.
+    """Return jobs that train runs as batches; print what is trained together.
 
     Threads of a process take turns in Python, and processes on the GPU: so there are some of each.
     """
     batches, _ = form(runs)
     for one in batches:
-        n_runs, sizes = len(one.runs), (one.nbytes / 1e9, one.replay_nbytes / 1e9)
+        n_runs = len(one.runs)
         console.print(
-            f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds, about "
-            f"{sizes[0]:.1f} GB on the device, and {sizes[1]:.1f} GB of memory for replays"
+            f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds"
         )
     n = side_by_side or SIDE_BY_SIDE
-    if device() != "loop" and batches:
-        free, _ = torch.cuda.mem_get_info()
-        console.print(
-            f"  of {free / 1e9:.1f} GB free on {torch.cuda.get_device_name()}"
-        )
-        if sum(sorted(one.nbytes for one in batches)[-n:]) > free:
-            console.print(
-                "note: this may be more than there is; give --jobs 1, or a part of the study"
-            )
     n_jobs = min(n, len(batches), int(os.environ.get(PROCESSES, 3)))
     return [
         Job(
@@ -261,7 +214,6 @@ class _Member:
     """A run of a batch, and where its table stands."""
 
     run: Run
-    label: str
     checkpoint: Checkpoint
     epoch: int
     rows: list[training.Row] = field(default_factory=list)
@@ -300,13 +252,13 @@ class _Training:
             held.callback(env.close)
             for i, config in enumerate(configs):
                 seat: Any = _Seat(env, i)
-                options = alone, config.run.seed, config.run.total_timesteps
-                singles.append(algorithm(config.learner, seat, *options))
+                options = config.run.seed, config.run.total_timesteps, env.device
+                singles.append(algorithm(config.learner, seat, alone, *options))
         about["worlds"] = env.num_envs
         for run, config, one in zip(batch.runs, configs, singles, strict=True):
-            checkpoint = Checkpoint(files.run_dir(run), config, one, alone)
-            epoch = training.begin(checkpoint, about)
-            self.members.append(_Member(run, _label(config), checkpoint, epoch))
+            checkpoint = Checkpoint(files.run_dir(run), one, alone)
+            epoch = training.begin(checkpoint, config, about)
+            self.members.append(_Member(run, checkpoint, epoch))
         self.learner = learners.BATCHED[algorithm](singles, env)
         self.n_test_episodes = configs[0].run.n_test_episodes
         self.begin = self.saved = self.shown = time.monotonic()
@@ -337,68 +289,56 @@ class _Training:
 
     def train(self) -> None:
         """Train until all runs have their steps, or have failed."""
-        while any(self.learner.active):
+        while self.learner.active:
             self.epoch()
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
-        self.final_test()
         self.save()
         self.show()
 
     def epoch(self) -> None:
         """Play one epoch of each active run and learn from it, as `training` does with one."""
         learner, begin = self.learner, time.perf_counter()
-        before = [one.env_steps for one in learner.learners]
+        singles, n_tests = learner.learners, self.n_test_episodes
+        before = [one.env_steps for one in singles]
         collected, learned, seconds = training.cycles(learner, self.goes_on)
-        after = [one.env_steps for one in learner.learners]
-        tests = learner.test([a < b for a, b in zip(before, after, strict=True)])
-        spent = time.perf_counter() - begin
+        made = [one.env_steps - n for one, n in zip(singles, before, strict=True)]
+        played = [i for i, n in enumerate(made) if n]
+        tests, spent = learner.test(played), time.perf_counter() - begin
+        going = {*learner.active, *learner.failures}
+        ended = [i for i in played if n_tests and i not in going]
+        finals = learner.play_best(
+            dict.fromkeys(ended, evaluation.task(None).key), n_tests
+        )
         # A run's share of the batch's time, so that the sum over runs is what was spent.
-        shares = [each / len(before) for each in seconds]
-        for i, one in enumerate(self.members):
+        shares = [each / len(singles) for each in seconds]
+        for i in played:
             if i in learner.failures:
                 continue
-            cycles = zip(collected, learned, strict=True)
-            mine = [(each[i], more[i]) for each, more in cycles if i in each]
-            if mine:
-                one.epoch += 1
-                test = tests.get(i, {})
-                speed = (after[i] - before[i]) / spent
-                said, read = zip(*mine, strict=True)
-                row = training.table_row(said, read, shares, test, speed)
-                one.success = row["success_rate"]
-                row = {"epoch": one.epoch, "env_steps": after[i], **row}
-                one.rows.append({**row, FINAL_TEST: ""})
+            one, final = self.members[i], finals.get(i, {"success_rate": ""})
+            one.epoch += 1
+            said, read = (
+                [each[i] for each in rows if i in each] for rows in (collected, learned)
+            )
+            row = training.table_row(
+                said, read, shares, tests.get(i, {}), made[i] / spent
+            )
+            one.success = row["success_rate"]
+            row = {"epoch": one.epoch, "env_steps": singles[i].env_steps, **row}
+            one.rows.append({**row, FINAL_TEST: final["success_rate"]})
 
     def goes_on(self) -> bool:
         """Return whether an epoch's next cycle begins; print a line now and then."""
         if time.monotonic() - self.shown > SHOW_EVERY:
             self.show()
-        return any(self.learner.active)
-
-    def final_test(self) -> None:
-        """Test the runs that have ended, as `training` does with one; their last rows have waited."""
-        if n := self.n_test_episodes:
-            waiting = [i for i in range(len(self.members)) if self._waits(i)]
-            key = evaluation.task(None).key
-            tests = self.learner.play_best(dict.fromkeys(waiting, key), n)
-            for i, test in tests.items():
-                self.members[i].rows[-1][FINAL_TEST] = test["success_rate"]
-
-    def _waits(self, i: int) -> bool:
-        """Return whether a run has ended without failing and is still to be tested."""
-        if i in self.learner.failures:
-            return False
-        one, rows = self.learner.learners[i], self.members[i].rows
-        has_ended = bool(rows) and one.env_steps >= one.total_timesteps
-        return bool(self.n_test_episodes) and has_ended and rows[-1][FINAL_TEST] == ""
+        return bool(self.learner.active)
 
     def save(self) -> None:
         """Write the rows and states of runs that went on since the last time."""
         for i, reason in self.learner.failures.items():
             self.files.write_failure(self.members[i].run, f"stopped: {reason}")
         for i, one in enumerate(self.members):
-            if one.rows and i not in self.learner.failures and not self._waits(i):
+            if one.rows and i not in self.learner.failures:
                 one.checkpoint.run_dir.append(*one.rows)
                 self.learner.write(i)
                 one.checkpoint.save(one.epoch)
@@ -412,18 +352,9 @@ class _Training:
         total = sum(one.total_timesteps for one in self.learner.learners)
         speed = (steps - self.steps_before) / spent
         left = about(max(0, total - steps) / speed) if speed else "?"
-        groups = defaultdict[str, list[float]](list)
-        for one in self.members:
-            if not math.isnan(one.success):
-                groups[one.label].append(one.success)
-        rates = (f"{label} {np.mean(each):.0%}" for label, each in groups.items())
+        rates = [one.success for one in self.members if not math.isnan(one.success)]
+        success = f"{np.mean(rates):.0%}" if rates else "not known yet"
         console.print(
             f"[{self.name}] {len(self.members)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
-            f"success: {', '.join(rates) or 'not known yet'}, {left} left"
+            f"success: {success}, {left} left"
         )
-
-
-def _label(config: RunConfig) -> str:
-    scene: Any = config.scene
-    layout = f"layout {layouts.short(scene.layout)}"
-    return layout if scene.touch == "on" else "no touch"

@@ -151,9 +151,7 @@ def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worl
             assert got == pytest.approx(want, rel=tolerance, abs=tolerance, nan_ok=True)
     assert not many.failures
     if algo == "ddpg_her":
-        for want, got in zip(
-            (one.test() for one in alone), many.test([True] * 3).values(), strict=True
-        ):
+        for want, got in zip((one.test() for one in alone), many.test(range(3)).values(), strict=True):
             assert got == pytest.approx(want, rel=1e-3)
     for i, one in enumerate(alone):
         many.write(i)
@@ -208,10 +206,10 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
     rows = []
     for broken in ("", what):
         learners = [single(algo, config, seed, 0) for seed in (5, 6, 7)]
-        many = batch.BATCHED[type(learners[0])](learners, Breaks((0, 0, 0), 2, broken))
         if broken == "parameter":
-            many.actor.flat.data[1] = np.nan
-        rows.append([(many.collect(), many.update(), many.test([True] * 3)) for _ in range(3)])
+            learners[1].actor[0].bias.data[:] = np.nan
+        many = batch.BATCHED[type(learners[0])](learners, Breaks((0, 0, 0), 2, broken))
+        rows.append([(many.collect(), many.update(), many.test(range(3))) for _ in range(3)])
         assert [i for i in range(3) if i in many.failures] == [1] * bool(broken)
     reason = "could not begin" if what == "reset" else f"{what}.*not finite"
     assert re.search(reason, many.failures[1])
@@ -223,12 +221,6 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
     assert many.play_best({}, 2) == {}
 
 
-def test_a_unit_that_hides_what_is_observed_is_told_in_a_batch():
-    learner = single("ddpg_her", replace(HER_CONFIG, clip_obs=0.01), 5, 0)
-    with pytest.warns(UserWarning, match="are cut there"):
-        batch.BatchDDPGHER([learner], PointBatch((0,), 2)).collect()
-
-
 def test_tests_are_as_many_as_asked_for(monkeypatch):
     monkeypatch.setattr(batch.rollout, "MAX_FAILURES", 2)
     learner = single("ppo", PPO_CONFIG, 5, 0)
@@ -238,9 +230,7 @@ def test_tests_are_as_many_as_asked_for(monkeypatch):
 
 def test_a_gradient_that_is_off_changes_nothing():
     mlp = single("ppo", PPO_CONFIG, 5, 0).actor
-    networks = batch.Networks([(mlp, (), ())], [torch.arange(4)], 4, torch.device("cpu"))
-    before = networks.flat.detach().clone()
-    off = torch.zeros(1, 1)
-    networks.step(torch.full_like(before, np.inf), torch.ones(1, 1), off)
-    assert networks.flat.equal(before)
-    assert networks.moments[0].equal(torch.zeros_like(before))
+    networks = batch.Networks([[(mlp, None)]], [torch.arange(4)], 4, torch.device("cpu"))
+    before = [part.detach().clone() for part in networks.rows]
+    networks.step(torch.full_like(before[0], np.inf), torch.ones(1, 1), torch.zeros(1, 1))
+    assert all(map(torch.equal, networks.rows, before))

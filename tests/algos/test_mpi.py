@@ -59,14 +59,8 @@ assert comm.size == comm.local_size == 2
 x = torch.arange(4.0) + comm.rank
 comm.sum_(x)
 assert x.tolist() == [1.0, 3.0, 5.0, 7.0]
-y = torch.full((2,), float(comm.rank))
-comm.broadcast_(y)
-assert y.tolist() == [0.0, 0.0]
 assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [1.0, 2.0]
 assert comm.all_gather(comm.rank) == [0, 1]
-assert list(comm.receive(comm.rank)) == ([0, 1] if comm.rank == 0 else [])
-assert mpi.same_on_all_ranks(comm, torch.ones(3))
-assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
 print("reductions agree with numpy")
 
 pool = vector.start(lambda: envs.make("point-reach"))
@@ -79,7 +73,8 @@ for _ in range(50):
     mine = slice(32 * comm.rank, 32 * comm.rank + 32)
     parts._update_networks(Batch(*(part[mine] for part in batch)))
     whole._update_networks(batch)
-assert mpi.same_on_all_ranks(comm, vec(parts))
+first, second = comm.all_gather(vec(parts))
+assert torch.equal(first, second)
 start = vec(DDPGHER(config, pool, alone, 0, 1))
 moved = (vec(whole) - start).norm()
 assert (vec(whole) - vec(parts)).norm() < 1e-3 * moved

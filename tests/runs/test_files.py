@@ -1,11 +1,8 @@
-"""Damaged and hostile files: each is refused with one line, before any of it is used."""
+"""Damaged files are refused with one line; what is written is whole; runs keep what made them."""
 
-import gzip
 import io
 import json
 import os
-import pickle
-import random
 import resource
 import shutil
 import signal
@@ -25,7 +22,6 @@ from tactilerl.runs import store
 from tactilerl.runs.store import RunDir
 
 from one_line import fails_with, python
-from states import flat
 
 PPO = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "--n-cycles", "1"]
@@ -66,11 +62,8 @@ class TestCheckpoint:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            (lambda content: content["ranks"][0].pop("actor"), "finish the run with version"),
-            (lambda content: content["ranks"][0].update(more=1), "finish the run with version"),
-            (lambda content: content.update(epoch="3"), "found"),
-            (lambda content: content.update(config="{}"), "from another configuration"),
-            (lambda content: content.update(format=2), "not a checkpoint of format"),
+            (lambda content: content["ranks"][0].pop("actor"), "finish the run with the version"),
+            (lambda content: content.update(format=2), "not a checkpoint of this version"),
         ],
     )
     def test_another_kind_of_content_is_refused(self, ppo, capsys, change, words):
@@ -81,12 +74,9 @@ class TestCheckpoint:
         assert TABLE.read_bytes() == before
 
     def test_policies_of_a_version_with_fewer_hyperparameters_are_read(self, her, capsys):
-        def older(config):
-            del config["learner"]["normalize_rewards"]
-            return config
-
-        CONFIG.write_text(json.dumps(older(json.loads(CONFIG.read_text()))))
-        edit(CHECKPOINT, lambda c: c.update(config=json.dumps(older(json.loads(c["config"])))))
+        config = json.loads(CONFIG.read_text())
+        del config["learner"]["normalize_rewards"]
+        CONFIG.write_text(json.dumps(config))
         assert main(["evaluate", "run", "--episodes", "2", "--workers", "1"]) == 0
 
     def test_experience_that_is_missing_or_of_something_else_is_refused(self, her, capsys):
@@ -96,117 +86,57 @@ class TestCheckpoint:
         fails_with(capsys, RESUME, f"{PART.name}: missing")
         assert main(["evaluate", "run", "--episodes", "1"]) == 0  # which needs none of it
 
-    def test_a_flipped_bit_is_found_or_changes_nothing(self, her):
-        """Only names, dates and paddings of the archive have no checksum."""
-        rng = random.Random(0)
-        for path, kind in ((CHECKPOINT, store.CHECKPOINT), (PART, store.PART)):
-            good, found = path.read_bytes(), 0
-            whole = flat(store.read_tensors(path, "checkpoint", 3, kind))
-            for _ in range(25):
-                bad, at = bytearray(good), rng.randrange(8 * len(good))
-                bad[at // 8] ^= 1 << at % 8
-                path.write_bytes(bad)
-                try:
-                    assert flat(store.read_tensors(path, "checkpoint", 3, kind)) == whole, at
-                except InputError:
-                    found += 1
-            assert found > 8
-            path.write_bytes(good)
-
-    @pytest.mark.parametrize(
-        ("pickled", "how", "words"),
-        [
-            (pickle.dumps({"format": 3}, 2)[:-1] + b"0" * 10**6, zipfile.ZIP_DEFLATED, "compressed"),
-            (b"\x80\x02" + b"]" * 10**6 + b"a" * (10**6 - 1) + b".", 0, "not a checkpoint"),
-            (b"\x80\x02cos\nsystem\nU\x0ctouch hackedq\x85R.", 0, "damaged"),
-        ],
-        ids=["deflated", "deep", "code"],
-    )
-    def test_bombs(self, ppo, capsys, pickled, how, words):
-        """Files that are small and would become large, or run code."""
-        torch.save({"format": 3, "x": torch.zeros(1000)}, "good.pt")
-        with zipfile.ZipFile("good.pt") as old, zipfile.ZipFile(CHECKPOINT, "w", how) as new:
+    def test_code_is_never_run(self, ppo, capsys):
+        code = b"\x80\x02cos\nsystem\nU\x0ctouch hackedq\x85R."
+        torch.save({"format": 3}, "good.pt")
+        with zipfile.ZipFile("good.pt") as old, zipfile.ZipFile(CHECKPOINT, "w") as new:
             for name in old.namelist():
-                new.writestr(name, pickled if name.endswith("data.pkl") else old.read(name))
-        fails_with(capsys, RESUME, "checkpoint.pt", words)
+                new.writestr(name, code if name.endswith("data.pkl") else old.read(name))
+        fails_with(capsys, RESUME, "checkpoint.pt: not a checkpoint")
         assert not Path("hacked").exists()
 
-    @pytest.mark.parametrize("algo", ["ppo", "her"])
-    def test_missing_checkpoint_of_a_run_with_progress(self, made, capsys, algo):
-        shutil.copytree(made / algo, "run")
-        if algo == "her":  # whose progress is its experience
-            TABLE.write_bytes(b"")
+    def test_missing_checkpoint_of_a_run_with_progress(self, ppo, capsys):
         before = TABLE.read_bytes()
         CHECKPOINT.unlink()
         fails_with(capsys, RESUME, "checkpoint.pt: missing, but")
         assert TABLE.read_bytes() == before
 
 
-def with_field(rows, column, value):
-    """A table whose last row has another value in one column."""
-    fields = rows[-1].split(b",")
-    fields[rows[0].split(b",").index(column)] = value
-    return b"".join([*rows[:-1], b",".join(fields)])
-
-
 class TestProgress:
     @pytest.mark.parametrize(
-        ("damage", "words"),
+        "damage",
         [
-            (lambda rows: b"", "found epochs up to 0, the checkpoint's is 3"),
-            (lambda rows: b"".join(rows)[:-9], "found epochs up to 2"),
-            (lambda rows: with_field(rows, b"diverged", b"1e999"), "line 4: found a number"),
-            (lambda rows: with_field(rows, b"collect_s", b"x"), "line 4: could not convert"),
-            (lambda rows: b"a,b,c\n" + b"".join(rows[1:]), "header"),
-            (lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]), "utf-8"),
-            (lambda rows: b"".join([*rows[:-1], b"9" * 200_000, rows[-1]]), "field larger"),
-            (lambda rows: b"".join([*rows[:-1], b'"', rows[-1]]), "damaged"),
-            (lambda rows: b"".join([rows[0], rows[2], rows[1], rows[3]]), "found epochs up to 3"),
-            (lambda rows: b"".join([*rows[:-1], rows[2][:-1], rows[-1]]), "line 4"),
-            (lambda rows: b"".join([*rows, rows[-1].replace(b"3,", b"4,", 1)] * 2), "damaged"),
+            lambda rows: b"a,b,c\n" + b"".join(rows[1:]),
+            lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]),
+            lambda rows: b"".join([*rows[:-1], b'"', rows[-1]]),
         ],
     )
-    def test_a_damaged_table_is_refused_and_kept(self, ppo, capsys, damage, words):
+    def test_a_damaged_table_is_refused_and_kept(self, ppo, capsys, damage):
         bad = damage(TABLE.read_bytes().splitlines(keepends=True))
         TABLE.write_bytes(bad)
         before = CHECKPOINT.read_bytes(), CONFIG.read_bytes()
-        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv", words)
+        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv: damaged")
         assert TABLE.read_bytes() == bad
         assert (CHECKPOINT.read_bytes(), CONFIG.read_bytes()) == before
 
-    def test_a_letter_that_flipped_in_the_header_loses_no_values(self, ppo, capsys):
-        bad = TABLE.read_bytes().replace(b"mean_return", b"mean_returo")
-        TABLE.write_bytes(bad)
-        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "found the columns mean_returo")
-        assert TABLE.read_bytes() == bad
+    def test_rows_after_the_checkpoint_and_a_line_that_was_cut_off_go(self, ppo):
+        rows = TABLE.read_bytes()
+        TABLE.write_bytes(rows + rows.splitlines()[-1].replace(b"3,", b"4,", 1) + b"\n5,300,")
+        assert main([*RESUME]) == 0
+        assert TABLE.read_bytes() == rows
 
 
 class TestWriting:
-    @pytest.mark.parametrize("name", ["checkpoint.pt.tmp", "config.json.tmp", ".lock", "progress.csv"])
-    def test_no_link_is_followed(self, ppo, name):
-        """Into the folder of another run, say, whose table would fit."""
-        victim = Path("victim")
-        victim.write_bytes(TABLE.read_bytes())
-        Path("run", name).unlink(missing_ok=True)
-        Path("run", name).symlink_to("../victim")
-        before = victim.read_bytes()
-        main([*RESUME, "--total-timesteps", "240"])
-        assert victim.read_bytes() == before
-
     def test_a_temporary_name_is_not_known_before_and_what_was_left_goes(self, ppo, tmp_path):
         names = []
         for _ in range(2):
             with files.replacing(tmp_path / "x"):
                 names += [path.name for path in tmp_path.glob(".*.tmp")]
         assert len(set(names)) == 2
-        left, own, deep = Path("run", names[0]), Path("run/.mine.tmp"), Path("run/mine", names[1])
-        deep.parent.mkdir()
-        for path in (left, own, deep):
-            path.touch()
+        left = Path("run", names[0])
+        left.touch()
         assert main([*RESUME, "--total-timesteps", "240"]) == 0
         assert not left.exists()
-        assert own.exists()
-        assert deep.exists()
 
     def test_a_full_disk_leaves_the_run_as_it_was(self, ppo, capsys):
         before = CHECKPOINT.read_bytes()
@@ -230,26 +160,10 @@ class TestWriting:
         assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-class TestReading:
-    @pytest.mark.parametrize("kind", ["pipe", "device"])
-    @pytest.mark.parametrize("path", [CHECKPOINT, CONFIG, TABLE, PART])
-    def test_what_is_no_file_is_not_waited_for(self, her, capsys, path, kind):
-        """A pipe that nobody writes to, or a device that has no end."""
-        path.unlink()
-        os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
-        fails_with(capsys, RESUME, path.name)
-
-    def test_what_unpacks_to_much_more(self):
-        text = Path("x.gz")
-        text.write_bytes(gzip.compress(b"some text"))
-        assert files.read_whole(text, 9, is_packed=True) == b"some text"
-        with pytest.raises(ValueError, match="holds more than 8 bytes"):
-            files.read_whole(text, 8, is_packed=True)
-
-    @pytest.mark.parametrize("name", ["../x", "a/b", "", ".x", "x\n", None, '"><img src=x>', "$x^$"])
-    def test_names_that_lead_elsewhere(self, name):
-        with pytest.raises(InputError, match="run: found"):
-            files.require_name(name, "run")
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".x", "x\n", None, "$x^$"])
+def test_names_that_lead_elsewhere(name):
+    with pytest.raises(InputError, match="run: found"):
+        files.require_name(name, "run")
 
 
 class TestLock:
@@ -297,17 +211,11 @@ class TestConfig:
         ("part", "name", "value", "words"),
         [
             ("run", "total_timesteps", "x", "total_timesteps: found 'x'"),
-            ("run", "seed", 10**400, "seed: found a number of 1329 bits"),
-            ("run", "env", None, "env: found None"),
-            ("run", "env", "shadow", "env: found 'shadow', which does not"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
             ("run", "more", 1, "run.more: unknown"),
-            ("learner", "hidden", [8, "8"], "hidden: found '8'"),
-            ("learner", "hidden", [10**30], "hidden: found a number"),
-            ("learner", "truncation", "never", "truncation: found 'never'"),
-            (None, "ranks", float("inf"), "ranks: found inf"),
+            ("learner", "hidden", [0], "hidden: found 0, allowed"),
+            ("learner", "critic_sees", 1, "critic_sees: unknown"),
             (None, "scene", [], "scene: found"),
-            (None, "provenance", {}, "provenance"),
             (None, "format", 2, "this version reads runs of 0.5.0 on"),
         ],
     )
@@ -318,14 +226,7 @@ class TestConfig:
         fails_with(capsys, ["evaluate", "run"], "config.json", words)
         fails_with(capsys, RESUME, "config.json", words)
 
-    def test_a_run_of_an_older_version_is_named(self, ppo, capsys):
-        data = json.loads(CONFIG.read_text())
-        data["provenance"][0]["versions"]["tactilerl"] = "0.4.0"
-        data["learner"] |= {"critic_sees": "observation"}
-        CONFIG.write_text(json.dumps(data))
-        fails_with(capsys, RESUME, "made by version 0.4.0; this one reads runs of 0.5.0")
-
-    @pytest.mark.parametrize("text", ["", "[" * 200_000, "9" * 5000, "{}", "[]", "\0", "\ufeff{}"])
+    @pytest.mark.parametrize("text", ["", "[" * 200_000, "{}", "[]"])
     def test_what_is_no_configuration(self, ppo, capsys, text):
         CONFIG.write_text(text, encoding="utf-8")
         fails_with(capsys, RESUME, "config.json: not a run's configuration")
