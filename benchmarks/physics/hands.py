@@ -24,7 +24,7 @@ from subprocess import PIPE, STDOUT, TimeoutExpired, run
 from sys import executable
 from typing import Any
 
-from tactilerl.import_hand.guess import describe
+from tactilerl.envs.hands.guess import describe
 
 from benchmarks.command import ROOT, count, earlier, markdown, parser, write
 

@@ -9,7 +9,6 @@
 | `geometry`, `surfaces` | shapes and skin of links; where taxels may lie, the model's own sensors |
 | `hand_file` | all of it together: a `Hand` from a file |
 | `checks` | what is wrong with anybody's own hand, before it is used |
-| `sandbox` | a process of its own in which anybody's own hand is read |
 """
 
 from __future__ import annotations
@@ -120,7 +119,7 @@ def digest(name: str) -> str:
 def get(name: str) -> Hand:
     """Return the hand of this name or file.
 
-    It is read once, as long as its files stay as they are; anybody's own in a process of its own.
+    It is read once, as long as its files stay as they are.
 
     Raises ValueError or FileNotFoundError saying what is wrong with its file or model, and ImportError
     where the package that has the model is not installed.
@@ -129,12 +128,10 @@ def get(name: str) -> Hand:
     if not path.is_file():
         raise FileNotFoundError(f"hand file {name!r} does not exist")
     if path not in _read or _read[path][0] != _state(path, _read[path][1]):
-        from . import hand_file, sandbox
+        from . import hand_file
 
         with validation.blamed(f"hand file {name}"):
-            is_ours = path.parent == FOLDER
-            load = hand_file.load
-            hand = load(path) if is_ours else sandbox.call(load, path)
+            hand = hand_file.load(path)
         _read[path] = _state(path, hand), hand
     return _read[path][1]
 

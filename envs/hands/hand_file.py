@@ -7,11 +7,12 @@ whose. Everything else has a default that follows from both.
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .. import validation
 from ..state import Array
@@ -28,10 +29,11 @@ from .hand import (
     Surface,
     short_digest,
 )
-from .mount import Mount
 from .parts import Parts, require_distinct
 from .tables import GraspTable, HandFile, Names
 
+PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""Columns: where the palmar side, the fingers and their cross product point in the world."""
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
 """m: around the hand at the start; of the search for it."""
 NANO = 9  # decimals of m that count of a place
@@ -102,15 +104,12 @@ def _hand(parts: Parts, path: Path) -> Hand:
 def _notes(parts: Parts) -> tuple[str, ...]:
     """Say what was left out or put into the model."""
     bodies = {body.name for body in parts.raw.bodies}
-    spec = model_file.read(parts.unread.model)
+    spec = model_file.read(parts.path)
     loose = filter(mount.is_loose, spec.worldbody.bodies)
     notes = {
         "left out, as they move freely beside the hand: ": [
             body.name for body in loose if body.name not in bodies
         ],
-        "left out of pictures, as their files are missing or cannot be read: meshes ": (
-            model_file.undrawable(spec)
-        ),
         **{
             f"joints have the library's servos, as these are {why}: ": names
             for why, names in parts.misfits.items()
@@ -153,28 +152,64 @@ def _reach(parts: Parts) -> float:
 # -- where it hangs --------------------------------------------------------------------------
 
 
-def _hung(parts: Parts) -> tuple[Mount, Array]:
-    """Return the model's mount, and where a point of the palm hangs at the start, m."""
+@dataclass(frozen=True)
+class Hanging:
+    """Build a hand that hangs palm down on three slides."""
+
+    parts: Parts
+    position: Array
+    """Position (3,) of the model's root body, m."""
+    rotation: Array
+    """Rotation (3, 3) of the root body."""
+
+    def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
+        """Return the hand alone as an editable model: no ground, no object, no taxels.
+
+        `visual` keeps what only pictures need. `finger_gain` multiplies the position gain and force
+        limit of the fingers' actuators.
+        """
+        spec, slides = self.parts.bare(visual), self.parts.file.slides
+        root = spec.worldbody.first_body()
+        root.pos = self.position
+        unmoved = posed(self.parts.model, {}).xmat[1].reshape(3, 3)
+        if not np.allclose(self.rotation, unmoved, atol=1e-9):
+            root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            turn = Rotation.from_matrix(self.rotation).as_rotvec()
+            angle = float(np.linalg.norm(turn))
+            axis = np.round(turn / max(angle, 1e-9), 12)
+            root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
+        usual = model_file.EMPTY_SPEC.default
+        for name, axis in zip(SLIDES, self.rotation, strict=True):
+            slide = root.add_joint(usual, name=name, type=mount.LINEAR, axis=axis)
+            slide.damping[0] = slides.damping
+            mount.add_servo(spec, name, slides.gain, slides.force)
+        carrying = mount.chain(spec.body(self.parts.palm_frame.link))
+        for actuator in spec.actuators:
+            moved = spec.joint(next(iter(mount.arms(spec, actuator)))).parent.name
+            if moved not in carrying:  # it moves a finger, and not the palm
+                actuator.gainprm *= finger_gain
+                actuator.biasprm *= finger_gain
+                actuator.forcerange *= finger_gain
+        return spec
+
+
+def _hung(parts: Parts) -> tuple[Hanging, Array]:
+    """Return the hand as it hangs, and where a point of the palm is at the start (3,), m."""
     place = parts.file.place
     of = parts.palm_point if place.of is None else parts.palm_frame.point(place.of)
     data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
-    turn = mount.turned(root.T @ palm, parts.palmar, parts.fingers)
+    axes = parts.palmar, parts.fingers, np.cross(parts.palmar, parts.fingers)
+    turn = np.round(PALM_DOWN @ np.array(axes) @ (root.T @ palm).T, 12) + 0.0
     steps = (
         root.T @ (data.xpos[parts.palm] - data.xpos[1]),
         root.T @ palm @ np.array(of),
     )
-    unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
-    hanging = replace(
-        parts.mount,
-        rotation=tuple(map(tuple, turn.tolist())),
-        is_turned=not np.allclose(turn, unmoved, atol=1e-9),
-    )
 
-    def at_place(at: Array) -> Mount:
+    def at_place(at: Array) -> Hanging:
         for step in steps:
             at = at - turn @ np.round(step, NANO)
-        return replace(hanging, position=tuple(at.tolist()))
+        return Hanging(parts, at, turn)
 
     at = np.array(place.at or ())
     if place.at is None:
@@ -182,7 +217,7 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
     return at_place(at), at
 
 
-def _above_the_object(parts: Parts, built: Mount) -> Array:
+def _above_the_object(parts: Parts, built: Hanging) -> Array:
     """Return where a point of the palm can be at the start (3,), m.
 
     What closes around the object is above it, and as low as the hand is free of ground and object.

@@ -218,7 +218,7 @@ def sensors(parts: Parts) -> Sensors:
 
 def _spots(parts: Parts) -> Iterator[Point]:
     """Yield every touch sensor of the model, whatever it lies on (`LOOKED_FOR`)."""
-    whole, touch = model_file.read(parts.unread.model), mujoco.mjtSensor.mjSENS_TOUCH
+    whole, touch = model_file.read(parts.path), mujoco.mjtSensor.mjSENS_TOUCH
     touching = {each.objname for each in whole.sensors if each.type == touch}
     for site in map(parts.model.site, (site.name for site in parts.spec.sites)):
         if site.name in touching:

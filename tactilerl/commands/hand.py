@@ -12,10 +12,9 @@ import tyro
 
 from ..envs import hands, scripted
 from ..envs.grasp import GraspEnv, setup
-from ..envs.hands import sandbox
+from ..envs.hands import guess
 from ..errors import InputError, input_errors
 from ..files import pasted, replacing, require_new, writable
-from ..import_hand import guess
 from ..terminal import flags
 from ..terminal.console import console
 from .grasps import draw, find_grasp
@@ -97,7 +96,7 @@ def _write(choices: HandFlags, known: dict[str, Any]) -> None:
         path = Path(model).parent.resolve() / Path(model).name
         model = os.path.relpath(path, folder)
     known = {"palm": choices.palm, "drop": list(choices.drop), **known}
-    text, notes = sandbox.call(guess.describe, model, folder, known)
+    text, notes = guess.describe(model, folder, known)
     with replacing(choices.out) as file:
         file.write((HEADER + text).encode())
     console.print(f"{choices.out}: guessed; correct it in the file:")

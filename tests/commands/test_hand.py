@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.import_hand import guess
+from tactilerl.envs.hands import guess
 from tactilerl.scripted import grasp_search
 
 from one_line import fails_with, printed
@@ -28,9 +28,7 @@ PERSON = f"""<mujoco><compiler angle="radian"/><worldbody><body name="hand"><geo
 size="0.045 0.04 0.012"/>{PERSON}{THUMB}</body></worldbody></mujoco>"""
 
 
-@pytest.fixture(autouse=True)
-def _described_here(read_here, in_tmp):
-    pass
+pytestmark = pytest.mark.usefixtures("in_tmp")
 
 
 def guessed(model, name="hand.xml", **said):

@@ -17,7 +17,6 @@ from one_line import fails_with
 
 FILES = Path(__file__).parents[1] / "hands"
 GRIPPER = str(FILES / "gripper.toml")
-pytestmark = pytest.mark.usefixtures("read_here")
 
 
 @pytest.fixture
@@ -106,6 +105,13 @@ class TestHand:
             hands.get(path)
             return
         fails_with(capsys, ["env", "--env", path], complaint)
+
+    def test_it_is_read_once_and_again_when_a_file_changes(self, own):
+        path = own()
+        first = hands.get(path)
+        assert hands.get(path) is first
+        own("-0.7 1.2", "-0.7 1.1", "gripper.xml")  # and not the TOML
+        assert hands.get(path) is not first
 
     def test_the_digest_is_of_what_the_model_includes_too(self, own, tmp_path):
         (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='1'/></mujoco>")

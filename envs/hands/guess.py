@@ -19,13 +19,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from ..envs import validation
-from ..envs.hands import mount
-from ..envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
-from ..envs.hands.hand import DIGITS
-from ..envs.hands.parts import Angles, Parts, between
-from ..envs.hands.tables import HandFile
-from ..envs.state import Array
+from .. import validation
+from ..state import Array
+from . import mount
+from .geometry import gap, geoms_of, meet, placed, posed, unit
+from .hand import DIGITS
+from .parts import Angles, Parts, between
+from .tables import HandFile
 
 WORDS = {
     "thumb": "thumb|th|pollex",
@@ -93,7 +93,8 @@ class Guess:
         return Parts(validation.fill(HandFile, self.keys), self.folder)
 
     def _spec(self) -> mujoco.MjSpec:
-        return self._parts().unread.unfused()
+        parts = self._parts()
+        return mount.cleaned(parts.path, parts.file, visual=False)
 
     def _find_palm(self, spec: mujoco.MjSpec) -> None:
         """Set the palm, and the root where the palm hangs on an arm.
