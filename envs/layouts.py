@@ -302,7 +302,6 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     there |= {(digit, "") for digit in hand.digits}
-    palms = sorted(f"{digit}.palm" for digit, segment in there if segment == "palm")
     wanted = [
         place
         for patch in layout.patches
@@ -315,8 +314,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
         n = len(wanted)
         raise ValueError(
             f"layout {layout.name!r}: {n - len(lacking)} of {n} placed: {', '.join(names)} are not on "
-            f"this hand (its palm is {', '.join(palms)}); partial = true in the layout's file leaves "
-            "them out"
+            "this hand; partial = true in the layout's file leaves them out"
         )
     grids = layout.on_grids(hand)
     gaps = [point.name for i, spot, point in grids if hand.surfaces[i].is_gap(*spot)]

@@ -60,7 +60,7 @@ def found_model(model: str, folder: Path) -> str:
 def guess(model: str) -> dict[str, Any]:
     """Return the guessed palm and digits of a model, each by its last link; {} without a guess."""
     try:
-        file = tomllib.loads(describe(model, Path(), {})[0])
+        file = tomllib.loads(describe(model, Path(), {}))
     except ValueError:
         return {}
     digits = {name: about["links"][-1] for name, about in file["digits"].items()}

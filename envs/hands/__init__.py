@@ -4,16 +4,16 @@
 |---|---|
 | `hand` | what the rest of the library knows of a hand |
 | `model_file` | models as published, MJCF or URDF |
-| `mount` | a model on slides, with servos: what a simulator gets |
+| `mount` | what is done to a model: parts left out, links, couplings, servos |
 | `tables`, `parts` | the TOML file; what it means of the model |
 | `geometry`, `surfaces` | shapes and skin of links; where taxels may lie, the model's own sensors |
-| `hand_file` | all of it together: a `Hand` from a file |
+| `hand_file` | all of it together: a `Hand` from a file, hung on slides |
 | `checks` | what is wrong with anybody's own hand, before it is used |
+| `guess` | the other way: a hand's file from a bare model (`tactilerl hand`) |
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from .hand import (
     Surface,
     short_digest,
 )
+from .tables import HandFile
 
 __all__ = [
     "ARM",
@@ -59,16 +60,6 @@ HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
 """The file of each hand of another package, by name, as its module adds it (`plugins`)."""
-
-
-@dataclass(frozen=True)
-class Usage:
-    """Values that a hand's file has for the scenes it is used in."""
-
-    id: str = ""
-    """Id of its environment in Gymnasium's registry; by name it is `make(name)`."""
-    scene: dict[str, Any] = field(default_factory=dict)
-    """Fields of its scene that differ from the defaults of `GraspConfig`."""
 
 
 def is_hand(name: str) -> bool:
@@ -95,17 +86,14 @@ def file(name: str) -> Path:
     return Path(OTHERS.get(name, name))
 
 
-def usage(name: str) -> Usage:
-    """Return the values that a hand's file has for its scenes.
+def described(name: str) -> HandFile:
+    """Return what a hand's file says, without its model.
 
     Raises ValueError and FileNotFoundError where the file is wrong.
     """
     path = file(name)
     with validation.blamed(f"hand file {path}"):
-        data = validation.read(path, "hand file")
-        environment = validation.table(data, "environment")
-        scene = validation.table(data, "scene")
-        return validation.fill(Usage, {**environment, "scene": scene}, "environment")
+        return validation.fill(HandFile, validation.read(path, "hand file"))
 
 
 def digest(name: str) -> str:
@@ -131,7 +119,7 @@ def get(name: str) -> Hand:
         from . import hand_file
 
         with validation.blamed(f"hand file {name}"):
-            hand = hand_file.load(path)
+            hand = hand_file.load(described(name), path)
         _read[path] = _state(path, hand), hand
     return _read[path][1]
 

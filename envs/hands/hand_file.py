@@ -7,7 +7,9 @@ whose. Everything else has a default that follows from both.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -41,13 +43,12 @@ FINGERS = 0.045  # m: how much more than an object is between tips that it fits 
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
-def load(path: Path) -> Hand:
-    """Return the hand of a file.
+def load(file: HandFile, path: Path) -> Hand:
+    """Return the hand of a file that is at a path.
 
     Raise ValueError naming what is wrong with it or its model, FileNotFoundError, and ImportError where
     the model's package is not installed.
     """
-    file = validation.fill(HandFile, validation.read(path, "hand file"))
     parts = Parts(file, path.parent)
     hand = _hand(parts, path)
     if parts.is_own:
@@ -102,18 +103,10 @@ def _hand(parts: Parts, path: Path) -> Hand:
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:
-    """Say what was left out or put into the model."""
-    bodies = {body.name for body in parts.raw.bodies}
-    spec = model_file.read(parts.path)
-    loose = filter(mount.is_loose, spec.worldbody.bodies)
+    """Say what was put into the model."""
     notes = {
-        "left out, as they move freely beside the hand: ": [
-            body.name for body in loose if body.name not in bodies
-        ],
-        **{
-            f"joints have the library's servos, as these are {why}: ": names
-            for why, names in parts.misfits.items()
-        },
+        "joints have the library's servos, as these are no position servos, or on joints that have "
+        "one: ": parts.misfits,
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
@@ -152,49 +145,40 @@ def _reach(parts: Parts) -> float:
 # -- where it hangs --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Hanging:
-    """Build a hand that hangs palm down on three slides."""
+def _build(
+    parts: Parts, position: Array, rotation: Array, visual: bool = False, finger_gain: float = 1.0
+) -> mujoco.MjSpec:  # fmt: skip
+    """Return the hand alone as it hangs palm down on three slides (`Hand.build`).
 
-    parts: Parts
-    position: Array
-    """Position (3,) of the model's root body, m."""
-    rotation: Array
-    """Rotation (3, 3) of the root body."""
-
-    def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
-        """Return the hand alone as an editable model: no ground, no object, no taxels.
-
-        `visual` keeps what only pictures need. `finger_gain` multiplies the position gain and force
-        limit of the fingers' actuators.
-        """
-        spec, slides = self.parts.bare(visual), self.parts.file.slides
-        root = spec.worldbody.first_body()
-        root.pos = self.position
-        unmoved = posed(self.parts.model, {}).xmat[1].reshape(3, 3)
-        if not np.allclose(self.rotation, unmoved, atol=1e-9):
-            root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            turn = Rotation.from_matrix(self.rotation).as_rotvec()
-            angle = float(np.linalg.norm(turn))
-            axis = np.round(turn / max(angle, 1e-9), 12)
-            root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
-        usual = model_file.EMPTY_SPEC.default
-        for name, axis in zip(SLIDES, self.rotation, strict=True):
-            slide = root.add_joint(usual, name=name, type=mount.LINEAR, axis=axis)
-            slide.damping[0] = slides.damping
-            mount.add_servo(spec, name, slides.gain, slides.force)
-        carrying = mount.chain(spec.body(self.parts.palm_frame.link))
-        for actuator in spec.actuators:
-            moved = spec.joint(next(iter(mount.arms(spec, actuator)))).parent.name
-            if moved not in carrying:  # it moves a finger, and not the palm
-                actuator.gainprm *= finger_gain
-                actuator.biasprm *= finger_gain
-                actuator.forcerange *= finger_gain
-        return spec
+    `position` (3,), m, and `rotation` (3, 3) are those of the model's root body.
+    """
+    spec, slides = parts.bare(visual), parts.file.slides
+    root = spec.worldbody.first_body()
+    root.pos = position
+    unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
+    if not np.allclose(rotation, unmoved, atol=1e-9):
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        turn = Rotation.from_matrix(rotation).as_rotvec()
+        angle = float(np.linalg.norm(turn))
+        axis = np.round(turn / max(angle, 1e-9), 12)
+        root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
+    usual = model_file.EMPTY_SPEC.default
+    for name, axis in zip(SLIDES, rotation, strict=True):
+        slide = root.add_joint(usual, name=name, type=mount.LINEAR, axis=axis)
+        slide.damping[0] = slides.damping
+        mount.add_servo(spec, name, slides.gain, slides.force)
+    carrying = mount.chain(spec.body(parts.palm_frame.link))
+    for actuator in spec.actuators:
+        moved = spec.joint(next(iter(mount.arms(spec, actuator)))).parent.name
+        if moved not in carrying:  # it moves a finger, and not the palm
+            actuator.gainprm *= finger_gain
+            actuator.biasprm *= finger_gain
+            actuator.forcerange *= finger_gain
+    return spec
 
 
-def _hung(parts: Parts) -> tuple[Hanging, Array]:
-    """Return the hand as it hangs, and where a point of the palm is at the start (3,), m."""
+def _hung(parts: Parts) -> tuple[Callable[..., mujoco.MjSpec], Array]:
+    """Return what builds the hand, and where a point of the palm is at the start (3,), m."""
     place = parts.file.place
     of = parts.palm_point if place.of is None else parts.palm_frame.point(place.of)
     data = posed(parts.model, parts.start)
@@ -206,23 +190,23 @@ def _hung(parts: Parts) -> tuple[Hanging, Array]:
         root.T @ palm @ np.array(of),
     )
 
-    def at_place(at: Array) -> Hanging:
+    def with_palm(at: Array) -> Callable[..., mujoco.MjSpec]:
         for step in steps:
             at = at - turn @ np.round(step, NANO)
-        return Hanging(parts, at, turn)
+        return partial(_build, parts, at, turn)
 
     at = np.array(place.at or ())
     if place.at is None:
-        at = _above_the_object(parts, at_place(np.zeros(3)))
-    return at_place(at), at
+        at = _above_the_object(parts, with_palm(np.zeros(3))())
+    return with_palm(at), at
 
 
-def _above_the_object(parts: Parts, built: Hanging) -> Array:
+def _above_the_object(parts: Parts, spec: mujoco.MjSpec) -> Array:
     """Return where a point of the palm can be at the start (3,), m.
 
     What closes around the object is above it, and as low as the hand is free of ground and object.
     """
-    spec, room = built(), Hand.start_clearance / 2
+    room = Hand.start_clearance / 2
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
     around, usual = spec.worldbody, model_file.EMPTY_SPEC.default
     around.add_geom(usual, type=plane, size=[1, 1, 0.1])

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from ..state import Array
+from ..validation import require_one_of
 from . import model_file
 from .hand import Coupling
 from .tables import HandFile, HingeServo, Names, Servos
@@ -50,9 +51,6 @@ def cleaned(model: Path, file: HandFile, visual: bool) -> mujoco.MjSpec:
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
         body.mass = file.masses.get(body.name, body.mass)
-    for body in weightless(spec):
-        if list(body.bodies):
-            _make_light(body)
     return spec
 
 
@@ -157,11 +155,6 @@ def drive(spec: mujoco.MjSpec, passive: Names, servos: Servos) -> None:
                 set_range(joint, -end, end)
 
 
-def _make_light(body: mujoco.MjsBody) -> None:
-    """Give a body that has neither mass nor shape as little as moves."""
-    body.mass, body.inertia, body.explicitinertial = 1e-3, [1e-6] * 3, True  # kg, kg m²
-
-
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     """Return the model with a single body at its root.
 
@@ -169,9 +162,10 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     is named as root is all that there is, with what it carries, at rest. Raise ValueError where there
     is none, or several move freely.
     """
-    roots, chosen = list(spec.worldbody.bodies), spec.body(root) if root else None
-    if root and chosen is None:
-        raise ValueError(f"root: found no body {root!r} in the model")
+    roots, chosen = list(spec.worldbody.bodies), None
+    if root:
+        require_one_of([body.name for body in spec.bodies[1:]], root, "root")
+        chosen = spec.body(root)
     if not root and len(roots) == 1:
         for joint in roots[0].joints:
             if joint.type == FREE_JOINT:
@@ -189,10 +183,9 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         if chosen is None:
             base = whole.worldbody.add_body(name=BASE)
             whole.attach(spec, prefix="", frame=base.add_frame())
-            if all(
-                list(body.joints) for body in roots
-            ):  # nothing of it is part of the base
-                _make_light(base)
+            # Where nothing is part of the base it is as light as can be: 1 g, 1e-6 kg m².
+            if all(list(body.joints) for body in roots):
+                base.mass, base.inertia, base.explicitinertial = 1e-3, [1e-6] * 3, True
         else:
             for joint in chosen.joints:
                 spec.delete(joint)
@@ -256,16 +249,6 @@ def is_unranged(joint: mujoco.MjsJoint) -> bool:
     """Return whether a joint has no range."""
     is_auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
     return joint.limited == UNLIMITED or bool(is_auto and np.ptp(joint.range) == 0)
-
-
-def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
-    """Return bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
-
-    def weighs(body: mujoco.MjsBody) -> bool:
-        fixed = (weighs(child) for child in body.bodies if not list(child.joints))
-        return bool(body.mass > 0 or list(body.geoms) or any(fixed))
-
-    return [body for body in spec.bodies[1:] if list(body.joints) and not weighs(body)]
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:

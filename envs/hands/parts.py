@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from ..state import Array
-from ..validation import quoted, require_one_of, require_rising
+from ..validation import require_one_of, require_rising
 from . import model_file, mount
 from .geometry import perpendicular, placed, posed, unit
 from .hand import FOLDER, Coupling, Frame
@@ -75,11 +75,6 @@ class Parts:
                     f"body {joint.parent.name!r}: found {kind} joint {joint.name!r}, "
                     "allowed hinges and slides that have a name"
                 )
-        if empty := [body.name for body in mount.weightless(spec)]:
-            raise ValueError(
-                "model: found links without mass or shape; leave them out: "
-                f"drop = {quoted(empty)}"
-            )
         return spec
 
     def bare(self, visual: bool) -> mujoco.MjSpec:
@@ -93,28 +88,24 @@ class Parts:
             require_rising(span, f"ranges.{joint}")
             mount.set_range(spec.joint(joint), *span)
         mount.couple(spec, self.file_couplings, self.file.servos)
-        for actuator in spec.actuators if self.replaced else ():
+        for actuator in spec.actuators if self.misfits else ():
             spec.delete(actuator)
         mount.drive(spec, self.passive, self.file.servos)
         return spec
 
     @cached_property
-    def misfits(self) -> dict[str, list[str]]:
-        """Actuators of the model, by why the library's servos replace them all."""
-        others, second, driven = list[str](), list[str](), set[str]()
+    def misfits(self) -> list[str]:
+        """Actuators that are no position servos, or on a joint that has one.
+
+        Where there are some, all joints get the library's servos.
+        """
+        misfits, driven = list[str](), set[str]()
         for actuator in self.raw.actuators:
             joints = mount.arms(self.raw, actuator).keys()
-            if not mount.is_servo(self.raw, actuator):
-                others.append(actuator.name)
-            elif joints & driven:
-                second.append(actuator.name)
+            if not mount.is_servo(self.raw, actuator) or joints & driven:
+                misfits.append(actuator.name)
             driven |= joints
-        return {"no position servos": others, "on joints that have one": second}
-
-    @property
-    def replaced(self) -> bool:
-        """True where misfits are among the actuators: all joints get the library's servos."""
-        return any(self.misfits.values())
+        return misfits
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
@@ -249,14 +240,11 @@ class Parts:
     def closed(self) -> Angles:
         """Angles of the closed hand, of joints that have an actuator."""
         closed = self.angles(self.file.closed, "closed")
-        followers = [coupling.joint for coupling in self.follows]
         for joint in closed:
             if joint not in self.driven:
-                drop = quoted([*self.driven.values()])
-                hint = f", or give all joints the library's: drop = {drop}"
                 raise ValueError(
-                    f"closed.{joint}: found a joint without an actuator; leave it out"
-                    f"{'' if joint in followers else hint}"
+                    f"closed.{joint}: found a joint that follows another or has no actuator; leave "
+                    "it out, or drop all actuators"
                 )
         return closed
 

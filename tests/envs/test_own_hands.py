@@ -121,13 +121,11 @@ class TestHand:
         (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='2'/></mujoco>")
         assert hands.digest(path) != before
 
-    @pytest.mark.parametrize(
-        ("damping", "why"), [(0.0, "6 of its servos have no damping"), (1e-3, "joint 'back_tip'")]
-    )
-    def test_a_model_that_breaks_by_itself_is_refused(self, own, damping, why):
+    @pytest.mark.parametrize("damping", [0.0, 1e-3])
+    def test_a_model_that_breaks_by_itself_is_refused(self, own, damping):
         """A stiff servo on a light link, taken in steps that are too large for it."""
         stiff = f"[servos.hinge]\ngain = 1e5\ndamping = {damping}\narmature = 0.0\nlimit = 1e6\n"
-        with pytest.raises(ValueError, match=f"does not hang still: {why}"):
+        with pytest.raises(ValueError, match="does not hang still: joint"):
             hands.get(own("[digits]", f"{stiff}[digits]"))
 
     def test_closing_actions(self, own):
