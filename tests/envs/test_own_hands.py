@@ -172,7 +172,7 @@ class TestTaxelFiles:
     def test_a_link_that_the_hand_has_not(self, tmp_path):
         path = tmp_path / "a.csv"
         path.write_text("link,x,y,z,nx,ny,nz,radius\ntoe,0,0,0,0,0,1,.002\n")
-        with pytest.raises(ValueError, match="found link 'toe', allowed: left_1, left_2"):
+        with pytest.raises(ValueError, match="link: found 'toe', allowed: left_1, left_2"):
             layouts.load(str(path)).place(hands.get(GRIPPER))
 
     def test_points_off_the_skin_are_named(self, taxels):
