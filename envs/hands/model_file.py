@@ -107,11 +107,11 @@ def quiet() -> Iterator[None]:
 
 @contextmanager
 def reading() -> Iterator[None]:
-    """Have MuJoCo raise its errors as ValueErrors of one line, and print no warnings."""
+    """Have MuJoCo and the reader of XML raise ValueErrors of one line, and print no warnings."""
     try:
         with quiet():
             yield
-    except ValueError as error:
+    except (ValueError, ElementTree.ParseError) as error:
         raise ValueError(f"model: {' '.join(str(error).split())}") from None
 
 

@@ -75,16 +75,14 @@ def _leave_out(spec: mujoco.MjSpec, file: HandFile) -> None:
         for body in filter(is_loose, roots):
             spec.delete(body)
     used = {geom.meshname for geom in spec.geoms}
-    flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
-    alone = len(list(spec.worldbody.bodies)) == 1
     for element in (
         *spec.sensors,
         *spec.lights,
         *spec.cameras,
         *spec.keys,
         *(mesh for mesh in spec.meshes if mesh.name not in used),
-        *(e for e, *bodies in joined(spec) if alone and "world" in bodies),
-        *(g for g in spec.worldbody.geoms if alone or g.type in flat),
+        *(equality for equality, *bodies in joined(spec) if "world" in bodies),
+        *spec.worldbody.geoms,
     ):
         spec.delete(element)
 
@@ -205,7 +203,7 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
     return [
         {*chain(spec.body(first))} ^ {*chain(spec.body(second))}
         for equality, first, second in joined(spec)
-        if equality.active and "world" not in (first, second)
+        if equality.active
     ]
 
 

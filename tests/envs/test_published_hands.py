@@ -452,6 +452,7 @@ class TestUrdf:
         [
             (urdf('<mesh filename="a/bone.dae"/>'), "collision mesh a/bone.dae, allowed STL and OBJ"),
             (urdf('<mesh filename="package://no/bone.stl"/>'), "found no file for mesh package://no"),
+            (urdf()[:-9], "model: .*no element found|model: unclosed token"),
             (f"<robot {XACRO}><xacro:macro/></robot>", "found xacro, which ROS expands: xacro FILE"),
         ],
     )
