@@ -111,7 +111,7 @@ def reading() -> Iterator[None]:
     try:
         with quiet():
             yield
-    except (ValueError, ElementTree.ParseError) as error:
+    except (ValueError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise ValueError(f"model: {' '.join(str(error).split())}") from None
 
 
