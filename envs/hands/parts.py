@@ -240,11 +240,14 @@ class Parts:
     def closed(self) -> Angles:
         """Angles of the closed hand, of joints that have an actuator."""
         closed = self.angles(self.file.closed, "closed")
+        followers = [coupling.joint for coupling in self.follows]
         for joint in closed:
             if joint not in self.driven:
+                hint = "leave it out, or drop all actuators"
+                if joint in followers:
+                    hint = "it follows another: leave it out"
                 raise ValueError(
-                    f"closed.{joint}: found a joint that follows another or has no actuator; leave "
-                    "it out, or drop all actuators"
+                    f"closed.{joint}: found a joint without an actuator; {hint}"
                 )
         return closed
 
