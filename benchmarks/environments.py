@@ -47,7 +47,8 @@ def _made(name: str) -> tuple[GraspConfig, GraspEnv]:
 def facts(name: str) -> None:
     """Print the facts at the head of a page."""
     config, env = _made(name)
-    ours = hands.usage(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
+    is_hand = name in hands.HANDS
+    ours = hands.described(name).environment["id"] if is_hand else scenes.gymnasium_id(name)
     spaces = env.observation_space.spaces.items()
     rows = {
         "Make": f'`gymnasium.make("{ours}")`, after `import tactilerl`',
@@ -176,7 +177,8 @@ def names() -> tuple[str, ...]:
 
 def title(name: str) -> str:
     """Return a page's title: the Gymnasium id without what all ids share."""
-    ours = hands.usage(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
+    is_hand = name in hands.HANDS
+    ours = hands.described(name).environment["id"] if is_hand else scenes.gymnasium_id(name)
     return ours.removeprefix("tactilerl/").removesuffix("-v0")
 
 

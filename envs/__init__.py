@@ -153,7 +153,7 @@ def _register_ours(id: str, **kwargs: Any) -> None:
 
 
 for _hand in hands.HANDS:
-    _register_ours(hands.usage(_hand).id, name=_hand)
+    _register_ours(hands.described(_hand).environment["id"], name=_hand)
 for _scene in scenes.names():
     _register_ours(scenes.gymnasium_id(_scene), scene=_scene)
 _register("tactilerl/PointReach-v0", "tactilerl.envs.toy:PointReachEnv")

@@ -133,7 +133,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
 
     A `sensor` brings its numbers (`sensors.choose`). Raise ValueError when there is no such field.
     """
-    usual, known = hands.usage(hand).scene, validation.names(GraspConfig)
+    usual, known = hands.described(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)

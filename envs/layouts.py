@@ -158,8 +158,7 @@ class PatchTable:
 
     def patch(self) -> Patch:
         """Return the patch that it says; ValueError unless it has either offsets or an array."""
-        is_array = self.pitch_mm is not None or self.rows * self.columns > 1
-        if (not self.offsets_mm) != is_array or (is_array and not self.pitch_mm):
+        if bool(self.offsets_mm) == bool(self.pitch_mm):
             raise ValueError(
                 "patch: needs either offsets_mm or rows, columns, pitch_mm"
             )
@@ -279,11 +278,8 @@ def _on_surface(
         point = point._replace(link=frame.link, position=place, normal=normal)
     position, surfaces = np.array(point.position), hand.surfaces
     on_link = [i for i, surface in enumerate(surfaces) if surface.link == point.link]
-    if not on_link:
-        links = ", ".join(dict.fromkeys(surface.link for surface in surfaces))
-        raise ValueError(
-            f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}"
-        )
+    links = dict.fromkeys(surface.link for surface in surfaces)
+    require_one_of(links, point.link, f"taxel {point.name!r}: link")
     index = min(on_link, key=lambda i: np.linalg.norm(position - surfaces[i].centre))
     if not point.normal:
         outward = surfaces[index].skin(position)[1]
@@ -302,7 +298,6 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     there |= {(digit, "") for digit in hand.digits}
-    palms = sorted(f"{digit}.palm" for digit, segment in there if segment == "palm")
     wanted = [
         place
         for patch in layout.patches
@@ -315,8 +310,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
         n = len(wanted)
         raise ValueError(
             f"layout {layout.name!r}: {n - len(lacking)} of {n} placed: {', '.join(names)} are not on "
-            f"this hand (its palm is {', '.join(palms)}); partial = true in the layout's file leaves "
-            "them out"
+            "this hand; partial = true in the layout's file leaves them out"
         )
     grids = layout.on_grids(hand)
     gaps = [point.name for i, spot, point in grids if hand.surfaces[i].is_gap(*spot)]
@@ -398,9 +392,7 @@ def load(name: str) -> Layout:
     if not name.endswith(".toml"):
         path = LAYOUT_FOLDER / f"{name}.toml"
         if name not in names():
-            allowed = (
-                f"{', '.join((*names(), MODEL, 'FILE.toml'))}, {', '.join(READERS)}"
-            )
+            allowed = ", ".join((*names(), MODEL, "FILE.toml", *READERS))
             raise ValueError(f"unknown layout {name!r}; allowed: {allowed}")
     data = validation.read(path, "layout file")
     with validation.blamed(f"layout file {path}"):

@@ -7,8 +7,8 @@ m in the frame of the link, normals point outward.
 from __future__ import annotations
 
 import csv
-import io
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -19,9 +19,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .hands import RADIUS, Point
-from .validation import Newtons, blamed, fill, read_text
+from .validation import Newtons, blamed, fill, read_text, require_one_of
 
-COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius", "name")
 Near = Annotated[float, "[-1, 1]"]
 Place = tuple[Near, Near, Near]
 """Point in the frame of a link, m."""
@@ -58,12 +57,15 @@ def point(data: Any, number: int) -> Point:
     where = f"taxel {number}"
     table = fill(TaxelTable, data, where)
     normal: tuple[float, ...] = table.normal or ()
-    length = float(np.linalg.norm(normal))
-    if normal and not 1e-9 < length < np.inf:
-        raise ValueError(f"{where}: normal: found {list(normal)}, expected a direction")
-    # A unit vector stays as it is, so that a copy of the file is read as the file was.
-    if normal and abs(length - 1.0) > 1e-9:
-        normal = tuple((np.array(normal) / length).tolist())
+    if normal:
+        length = float(np.linalg.norm(normal))
+        if not 1e-9 < length < np.inf:
+            raise ValueError(
+                f"{where}: normal: found {list(normal)}, expected a direction"
+            )
+        # A unit vector stays as it is, so that a copy of the file is read as the file was.
+        if abs(length - 1.0) > 1e-9:
+            normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
     return Point(
         table.link, table.position, normal, table.radius, name, table.threshold_N
@@ -88,12 +90,14 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
     FileNotFoundError.
     """
     with blamed(f"taxel file {path}"):
+        require_one_of(READERS, path.suffix, "ending of its name")
         text = read_text(path, "taxel file")
         try:
             tables = list(READERS[path.suffix](text))
-        except (LookupError, TypeError, AttributeError, RecursionError, csv.Error) as e:
+        except (LookupError, TypeError, AttributeError) as error:
+            kind = type(error).__name__
             raise ValueError(
-                f"found another form ({type(e).__name__}: {e}), expected {FORMS[path.suffix]}"
+                f"found another form ({kind}: {error}), expected {FORMS[path.suffix]}"
             ) from None
         if not tables:
             raise ValueError("found no taxel")
@@ -108,16 +112,11 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
 
     Raise ValueError naming what is wrong, and FileNotFoundError.
     """
-    files: list[str] = []
-    for number, sensor in enumerate(sensors, 1):
+    seen = Counter[str]()
+    for sensor in sensors:
         file = Path(sensor.file)
-        if file.suffix not in READERS:
-            raise ValueError(
-                f"sensor {number}: file: found {sensor.file!r}, allowed names that end in "
-                f"{', '.join(READERS)}"
-            )
-        files.append(sensor.file)
-        n_alike = files.count(sensor.file)
+        seen[file.stem] += 1
+        n_alike = seen[file.stem]
         stem = file.stem if n_alike == 1 else f"{file.stem} {n_alike}"
         turn = Rotation.from_quat(sensor.quaternion, scalar_first=True).as_matrix()
         for link in sensor.links:
@@ -155,28 +154,26 @@ def _read_csv(text: str) -> Tables:
 
     There is a heading. Of its columns only x, y and z must be there, and others are left out.
     """
-    rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
-    heading = tuple(name.strip() for name in rows.fieldnames or ())
-    rows.fieldnames = heading
-    if not {"x", "y", "z"} <= {*heading}:
+    heading, *rows = csv.reader(text.splitlines(), skipinitialspace=True)
+    names = [name.strip() for name in heading]
+    if not {"x", "y", "z"} <= {*names}:
         raise ValueError(
-            f"found the columns {', '.join(heading)}, expected {FORMS['.csv']}"
+            f"found the columns {', '.join(names)}, expected {FORMS['.csv']}"
         )
     for line, row in enumerate(rows, 2):
-        texts = {name: (row.get(name) or "").strip() for name in COLUMNS}
+        cells = {name: text for name, text in zip(names, row, strict=False) if text}
+        table: dict[str, Any] = {
+            name: cells[name] for name in ("link", "name") if name in cells
+        }
         try:
-            place, normal, radius = (
-                [float(texts[name]) for name in names if texts[name] or names[0] == "x"]
-                for names in ("xyz", ("nx", "ny", "nz"), ("radius",))
-            )
-        except ValueError:
-            raise ValueError(
-                f"line {line}: found {list(row.values())}, expected numbers"
-            ) from None
-        table: dict[str, Any] = {"position": place, "name": texts["name"]}
-        table |= {"normal": normal} if normal else {}
-        table |= {"radius": radius[0]} if radius else {}
-        yield table | ({"link": texts["link"]} if "link" in heading else {})
+            table["position"] = [float(cells[name]) for name in ("x", "y", "z")]
+            if "nx" in cells:
+                table["normal"] = [float(cells[name]) for name in ("nx", "ny", "nz")]
+            if "radius" in cells:
+                table["radius"] = float(cells["radius"])
+        except (KeyError, ValueError):
+            raise ValueError(f"line {line}: found {row}, expected numbers") from None
+        yield table
 
 
 FORMS = {

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from filelock import FileLock
-from tactilerl.envs.hands import HANDS, sandbox
+from tactilerl.envs.hands import HANDS
 from tactilerl.envs.simulators import mujoco
 from tactilerl.runs import still
 from tactilerl.scripted import reflexes
@@ -110,12 +110,6 @@ def simulator(request):
 def hand(request):
     """Each of the library's in turn."""
     return request.param
-
-
-@pytest.fixture
-def read_here(monkeypatch):
-    """Hands are read in this process, which is faster; test_hostile_hands.py tests the usual way."""
-    monkeypatch.setattr(sandbox, "call", lambda function, *args: function(*args))
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # The rooms of the application, and the few files beside them: each may use itself and those before.
 ROOMS = ["envs", "algos", "version", "errors", "files", "machine", "statistics", "style", "terminal"]
-ROOMS += ["runs", "pictures", "scripted", "placement", "import_hand", "study", "commands", "api"]
+ROOMS += ["runs", "pictures", "scripted", "placement", "study", "commands", "api"]
 ROOMS += ["", "__main__"]
 BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "api", "", "__main__"}
 ALLOWED = {
-    "mujoco": ("envs/simulators/", "envs/hands/", "tactilerl/import_hand/"),
+    "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
     "dask": ("tactilerl/study/executors.py",),
@@ -86,7 +86,7 @@ def test_no_module_imports_itself_by_way_of_others(package):
 
 def test_there_are_at_most_ten_rooms():
     assert {path.stem for path in (ROOT / "tactilerl").glob("*.py")} <= BESIDE | {"__init__"}
-    assert len(set(ROOMS) - BESIDE) == 10
+    assert len(set(ROOMS) - BESIDE) == 9
 
 
 def test_third_party_packages_stay_where_they_belong():

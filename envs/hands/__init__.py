@@ -4,17 +4,15 @@
 |---|---|
 | `hand` | what the rest of the library knows of a hand |
 | `model_file` | models as published, MJCF or URDF |
-| `mount` | a model on slides, with servos: what a simulator gets |
+| `mount` | what is done to a model: parts left out, links, couplings, servos |
 | `tables`, `parts` | the TOML file; what it means of the model |
 | `geometry`, `surfaces` | shapes and skin of links; where taxels may lie, the model's own sensors |
-| `hand_file` | all of it together: a `Hand` from a file |
+| `hand_file` | all of it together: a `Hand` from a file, hung on slides |
 | `checks` | what is wrong with anybody's own hand, before it is used |
-| `sandbox` | a process of its own in which anybody's own hand is read |
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +35,7 @@ from .hand import (
     Surface,
     short_digest,
 )
+from .tables import HandFile
 
 __all__ = [
     "ARM",
@@ -60,16 +59,6 @@ HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
 """The file of each hand of another package, by name, as its module adds it (`plugins`)."""
-
-
-@dataclass(frozen=True)
-class Usage:
-    """Values that a hand's file has for the scenes it is used in."""
-
-    id: str = ""
-    """Id of its environment in Gymnasium's registry; by name it is `make(name)`."""
-    scene: dict[str, Any] = field(default_factory=dict)
-    """Fields of its scene that differ from the defaults of `GraspConfig`."""
 
 
 def is_hand(name: str) -> bool:
@@ -96,17 +85,14 @@ def file(name: str) -> Path:
     return Path(OTHERS.get(name, name))
 
 
-def usage(name: str) -> Usage:
-    """Return the values that a hand's file has for its scenes.
+def described(name: str) -> HandFile:
+    """Return what a hand's file says, without its model.
 
     Raises ValueError and FileNotFoundError where the file is wrong.
     """
     path = file(name)
     with validation.blamed(f"hand file {path}"):
-        data = validation.read(path, "hand file")
-        environment = validation.table(data, "environment")
-        scene = validation.table(data, "scene")
-        return validation.fill(Usage, {**environment, "scene": scene}, "environment")
+        return validation.fill(HandFile, validation.read(path, "hand file"))
 
 
 def digest(name: str) -> str:
@@ -120,7 +106,7 @@ def digest(name: str) -> str:
 def get(name: str) -> Hand:
     """Return the hand of this name or file.
 
-    It is read once, as long as its files stay as they are; anybody's own in a process of its own.
+    It is read once, as long as its files stay as they are.
 
     Raises ValueError or FileNotFoundError saying what is wrong with its file or model, and ImportError
     where the package that has the model is not installed.
@@ -129,12 +115,10 @@ def get(name: str) -> Hand:
     if not path.is_file():
         raise FileNotFoundError(f"hand file {name!r} does not exist")
     if path not in _read or _read[path][0] != _state(path, _read[path][1]):
-        from . import hand_file, sandbox
+        from . import hand_file
 
         with validation.blamed(f"hand file {name}"):
-            is_ours = path.parent == FOLDER
-            load = hand_file.load
-            hand = load(path) if is_ours else sandbox.call(load, path)
+            hand = hand_file.load(described(name), path)
         _read[path] = _state(path, hand), hand
     return _read[path][1]
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from . import model_file, mount
-from .geometry import gap, placed, posed
+from .geometry import placed, posed
 from .hand import Hand
 from .parts import Parts
 
@@ -18,32 +18,21 @@ NUDGE, STILL, MOST_MOVED, GONE = 0.02, 0.4, 0.2, 10.0
 CLOSING = 1.0  # s; a scripted grasp takes that long
 PRESS, REACHED = 0.3, 0.7
 """N at each fingertip, and the share of its way that a servo goes against it."""
-GROUND_ALONE = 1 << 30  # contact type of a ground that stops nothing
-IN_GROUND = 1e-3  # m
 
 
 def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     """Return warnings about a hand.
 
-    Raise ValueError if it does not hang still, closes away from its palm, or starts in the ground.
+    Raise ValueError if it does not hang still, or closes away from its palm.
     """
-    spec = hand.build()
-    spec.option.timestep = timestep
-    spec.worldbody.add_geom(
-        model_file.EMPTY_SPEC.default,
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[1, 1, 0.1],
-        contype=GROUND_ALONE,
-        conaffinity=GROUND_ALONE,
-    )
-    model = model_file.compiled(spec)
+    model = model_file.compiled(hand.build())
+    model.opt.timestep = timestep
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    _require_still(hand, model, timestep)
+    _require_still(hand, model)
     if not hand.closed:
         return ()
     _require_palmar(parts)
-    _require_above_ground(hand, model)
-    has_own_servos = parts.raw.actuators and not parts.replaced
+    has_own_servos = parts.raw.actuators and not parts.misfits
     return _weak(hand, model) if has_own_servos else ()
 
 
@@ -57,7 +46,7 @@ def _begun(hand: Hand, model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
+def _require_still(hand: Hand, model: mujoco.MjModel) -> None:
     """Raise ValueError for a model that does not hang still where it starts.
 
     Its joints are moved a little before.
@@ -67,7 +56,7 @@ def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
     held = [*hand.actuated, *(coupling.joint for coupling in hand.couplings)]
     places = [int(model.joint(joint).qposadr[0]) for joint in held]
     before = data.qpos[places]
-    for _ in range(round(STILL / timestep)):
+    for _ in range(round(STILL / model.opt.timestep)):
         mujoco.mj_step(model, data)
         moved = np.nan_to_num(np.abs(data.qpos[places] - before), nan=np.inf)
         if moved.max() > GONE:  # whoever is first is the cause
@@ -75,14 +64,9 @@ def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
     worst = int(np.argmax(moved))
     if moved[worst] <= MOST_MOVED:
         return
-    servos = zip(hand.actuators, hand.actuated, strict=True)
-    undamped = [j for name, j in servos if mount.servo_figures(model, name, j)[1] <= 0]
     raise ValueError(
-        f"model: does not hang still: {len(undamped)} of its servos have no damping (as at "
-        f"joint {undamped[0]!r}); give the joints damping, or drop the servos"
-        if undamped
-        else f"model: does not hang still: joint {held[worst]!r} moves by {moved[worst]:.2g} "
-        f"within {STILL:g} s; look at its servo's gain and damping, or at what it touches"
+        f"model: does not hang still: joint {held[worst]!r} moves by {moved[worst]:.2g} within "
+        f"{STILL:g} s; look at its servo's gain and damping, or at what it touches, or drop the servos"
     )
 
 
@@ -99,17 +83,6 @@ def _require_palmar(parts: Parts) -> None:
             f"palmar: found {list(parts.file.palmar)}, but the closed fingertips are "
             f"{-1e3 * max(depths):.0f} mm behind the palm; did you mean "
             f"{[0 - value for value in parts.file.palmar]}? Else look at [closed]"
-        )
-
-
-def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
-    """Raise ValueError where the hand starts in the ground."""
-    data = _begun(hand, model)
-    mujoco.mj_kinematics(model, data)
-    depth = -min(gap(model, data, 0, body) for body in range(1, model.nbody))
-    if depth > IN_GROUND:
-        raise ValueError(
-            f"place: with this the hand starts {1e3 * depth:.0f} mm in the ground"
         )
 
 

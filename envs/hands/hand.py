@@ -251,14 +251,12 @@ class Sensors(NamedTuple):
 
     points: tuple[Point, ...] = ()
     left_out: tuple[str, ...] = ()
-    """Why each that is none of the points is left out."""
+    """Names of those that are not on the skin of a digit or the palm."""
 
     def __str__(self) -> str:
         """Return what was left out, "" where that is nothing."""
-        if not self.left_out:
-            return ""
-        n, first = len(self.left_out), "; ".join(self.left_out[:3])
-        return f"{n} of {n + len(self.points)} left out: {first}{'; ...' * (n > 3)}"
+        names = ", ".join(self.left_out)
+        return f"left out, as they are not on the skin: {names}" if names else ""
 
 
 class Frame(NamedTuple):

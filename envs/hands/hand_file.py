@@ -7,11 +7,14 @@ whose. Everything else has a default that follows from both.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .. import validation
 from ..state import Array
@@ -28,10 +31,11 @@ from .hand import (
     Surface,
     short_digest,
 )
-from .mount import Mount
 from .parts import Parts, require_distinct
 from .tables import GraspTable, HandFile, Names
 
+PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""Columns: where the palmar side, the fingers and their cross product point in the world."""
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
 """m: around the hand at the start; of the search for it."""
 NANO = 9  # decimals of m that count of a place
@@ -39,13 +43,12 @@ FINGERS = 0.045  # m: how much more than an object is between tips that it fits 
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
-def load(path: Path) -> Hand:
-    """Return the hand of a file.
+def load(file: HandFile, path: Path) -> Hand:
+    """Return the hand of a file that is at a path.
 
     Raise ValueError naming what is wrong with it or its model, FileNotFoundError, and ImportError where
     the model's package is not installed.
     """
-    file = validation.fill(HandFile, validation.read(path, "hand file"))
     parts = Parts(file, path.parent)
     hand = _hand(parts, path)
     if parts.is_own:
@@ -100,21 +103,10 @@ def _hand(parts: Parts, path: Path) -> Hand:
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:
-    """Say what was left out or put into the model."""
-    bodies = {body.name for body in parts.raw.bodies}
-    spec = model_file.read(parts.unread.model)
-    loose = filter(mount.is_loose, spec.worldbody.bodies)
+    """Say what was put into the model."""
     notes = {
-        "left out, as they move freely beside the hand: ": [
-            body.name for body in loose if body.name not in bodies
-        ],
-        "left out of pictures, as their files are missing or cannot be read: meshes ": (
-            model_file.undrawable(spec)
-        ),
-        **{
-            f"joints have the library's servos, as these are {why}: ": names
-            for why, names in parts.misfits.items()
-        },
+        "joints have the library's servos, as these are no position servos, or on joints that have "
+        "one: ": parts.misfits,
         "joints without servos: ": parts.passive,
         "joints without a range, which have one of ±1.57 rad or ±0.05 m until [ranges] gives them "
         "another: ": [
@@ -153,41 +145,68 @@ def _reach(parts: Parts) -> float:
 # -- where it hangs --------------------------------------------------------------------------
 
 
-def _hung(parts: Parts) -> tuple[Mount, Array]:
-    """Return the model's mount, and where a point of the palm hangs at the start, m."""
+def _build(
+    parts: Parts, position: Array, rotation: Array, visual: bool = False, finger_gain: float = 1.0
+) -> mujoco.MjSpec:  # fmt: skip
+    """Return the hand alone as it hangs palm down on three slides (`Hand.build`).
+
+    `position` (3,), m, and `rotation` (3, 3) are those of the model's root body.
+    """
+    spec, slides = parts.bare(visual), parts.file.slides
+    root = spec.worldbody.first_body()
+    root.pos = position
+    unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
+    if not np.allclose(rotation, unmoved, atol=1e-9):
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        turn = Rotation.from_matrix(rotation).as_rotvec()
+        angle = float(np.linalg.norm(turn))
+        axis = np.round(turn / max(angle, 1e-9), 12)
+        root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
+    usual = model_file.EMPTY_SPEC.default
+    for name, axis in zip(SLIDES, rotation, strict=True):
+        slide = root.add_joint(usual, name=name, type=mount.LINEAR, axis=axis)
+        slide.damping[0] = slides.damping
+        mount.add_servo(spec, name, slides.gain, slides.force)
+    carrying = mount.chain(spec.body(parts.palm_frame.link))
+    for actuator in spec.actuators:
+        moved = spec.joint(next(iter(mount.arms(spec, actuator)))).parent.name
+        if moved not in carrying:  # it moves a finger, and not the palm
+            actuator.gainprm *= finger_gain
+            actuator.biasprm *= finger_gain
+            actuator.forcerange *= finger_gain
+    return spec
+
+
+def _hung(parts: Parts) -> tuple[Callable[..., mujoco.MjSpec], Array]:
+    """Return what builds the hand, and where a point of the palm is at the start (3,), m."""
     place = parts.file.place
     of = parts.palm_point if place.of is None else parts.palm_frame.point(place.of)
     data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
-    turn = mount.turned(root.T @ palm, parts.palmar, parts.fingers)
+    axes = parts.palmar, parts.fingers, np.cross(parts.palmar, parts.fingers)
+    turn = np.round(PALM_DOWN @ np.array(axes) @ (root.T @ palm).T, 12) + 0.0
     steps = (
         root.T @ (data.xpos[parts.palm] - data.xpos[1]),
         root.T @ palm @ np.array(of),
     )
-    unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
-    hanging = replace(
-        parts.mount,
-        rotation=tuple(map(tuple, turn.tolist())),
-        is_turned=not np.allclose(turn, unmoved, atol=1e-9),
-    )
 
-    def at_place(at: Array) -> Mount:
+    def with_palm(at: Array) -> Callable[..., mujoco.MjSpec]:
         for step in steps:
             at = at - turn @ np.round(step, NANO)
-        return replace(hanging, position=tuple(at.tolist()))
+        return partial(_build, parts, at, turn)
 
     at = np.array(place.at or ())
     if place.at is None:
-        at = _above_the_object(parts, at_place(np.zeros(3)))
-    return at_place(at), at
+        at = _above_the_object(parts, with_palm(np.zeros(3))())
+    return with_palm(at), at
 
 
-def _above_the_object(parts: Parts, built: Mount) -> Array:
+def _above_the_object(parts: Parts, spec: mujoco.MjSpec) -> Array:
     """Return where a point of the palm can be at the start (3,), m.
 
     What closes around the object is above it, and as low as the hand is free of ground and object.
     """
-    spec, room = built(), Hand.start_clearance / 2
+    room = Hand.start_clearance / 2
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
     around, usual = spec.worldbody, model_file.EMPTY_SPEC.default
     around.add_geom(usual, type=plane, size=[1, 1, 0.1])

@@ -1,34 +1,31 @@
-"""Build the hand of a scene from its model's file: palm down on three slides.
+"""What is done to a hand's model: parts left out, links, couplings and servos.
 
 Position servos drive it: the model's own, in the units of their joints, or the library's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
 from fnmatch import filter as filter_names
 from fnmatch import fnmatchcase
-from itertools import product
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..state import Array
+from ..validation import require_one_of
 from . import model_file
-from .hand import SLIDES, Coupling
-from .tables import HandFile, HingeServo
+from .hand import Coupling
+from .tables import HandFile, HingeServo, Names, Servos
 
 BASE = "base of all roots"
 OBJECT, GROUND, GIVER = "object", "ground", "giver"
 """Names of what is in a scene besides the hand."""
-RESERVED = OBJECT, GROUND, GIVER, *SLIDES
 KINDS = ("tendons", "actuators", "sites", "geoms", "bodies")  # of what can be left out
 DEFAULT_RANGES = {mujoco.mjtJoint.mjJNT_HINGE: 1.57, mujoco.mjtJoint.mjJNT_SLIDE: 0.05}
 """End of the range that a driven joint without one gets, to both sides, rad or m."""
-UNLIMITED, LIMITED = mujoco.mjtLimited.mjLIMITED_FALSE, mujoco.mjtLimited.mjLIMITED_TRUE
+UNLIMITED = mujoco.mjtLimited.mjLIMITED_FALSE
 FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
@@ -38,213 +35,122 @@ DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER,
     mujoco.mjtDyn.mjDYN_FILTEREXACT,
 )
-PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
-"""Columns: where the palmar side, the fingers and their cross product point in the world."""
 
 
-@dataclass(frozen=True)
-class Mount:
-    """Build the hand of a scene from its model; plain values, so that it can be pickled."""
+def cleaned(model: Path, file: HandFile, visual: bool) -> mujoco.MjSpec:
+    """Return a hand's model without what is left out, its bodies carried, on a single root.
 
-    file: HandFile
-    model: Path
-    fuses: bool
-    """True where bodies that are fixed to a link are part of it."""
-    carrying: str = ""
-    """The palm's link: what moves it is no finger."""
-    keeps_servos: bool = True
-    """True to keep the model's servos, if it has some."""
-    couplings: tuple[Coupling, ...] = ()
-    """Couplings of the hand's file."""
-    passive: tuple[str, ...] = ()
-    """Joints that get no servo."""
-    ranges: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    """Ranges of joints that have another than in the model, rad or m."""
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Position of the model's root body, m."""
-    rotation: tuple[tuple[float, ...], ...] = ()
-    """Rotation (3, 3) of the root body."""
-    is_turned: bool = False
-    """True where that is not the model's own."""
-
-    def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
-        """Return the hand alone as an editable model: no ground, no object, no taxels.
-
-        `visual` keeps what only pictures need. `finger_gain` multiplies the position gain and force
-        limit of the fingers' actuators.
-        """
-        spec = self.bare(visual)
-        root, rotation = spec.worldbody.first_body(), np.array(self.rotation)
-        root.pos = self.position
-        if self.is_turned:
-            root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            turn = Rotation.from_matrix(rotation).as_rotvec()
-            angle = float(np.linalg.norm(turn))
-            axis = np.round(turn / max(angle, 1e-9), 12)
-            root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
-        usual = model_file.EMPTY_SPEC.default
-        for name, axis in zip(SLIDES, rotation, strict=True):
-            slide = root.add_joint(usual, name=name, type=LINEAR, axis=axis)
-            slide.damping[0] = self.file.slides.damping
-            add_servo(spec, name, self.file.slides.gain, self.file.slides.force)
-        carrying = chain(spec.body(self.carrying))
-        for actuator in spec.actuators:
-            moved = spec.joint(next(iter(arms(spec, actuator)))).parent.name
-            if moved not in carrying:  # it moves a finger, and not the palm
-                actuator.gainprm *= finger_gain
-                actuator.biasprm *= finger_gain
-                actuator.forcerange *= finger_gain
-        return spec
-
-    def bare(self, visual: bool = False) -> mujoco.MjSpec:
-        """Return the model with its joints and actuators as they will be, where its file has it."""
-        spec = self.unfused(visual)
-        if self.fuses:
-            for exclude in spec.excludes:  # a body that one names is not fused
-                names = exclude.bodyname1, exclude.bodyname2
-                first, second = (link_of(spec.body(name)).name for name in names)
-                exclude.bodyname1, exclude.bodyname2 = first, second
-                if first == second:
-                    spec.delete(exclude)
-            for body in spec.bodies:
-                body.fuse = is_fixed(body)
-            with model_file.quiet():
-                spec.fuse_static()
-        if self.file.contacts == "others":
-            # A contype without conaffinity meets the object and the ground.
-            for pair in (*spec.pairs, *spec.excludes):
-                spec.delete(pair)
-            for geom in spec.geoms:
-                geom.contype = int(bool(geom.contype or geom.conaffinity))
-                geom.conaffinity = 0
-        self._couple(spec)
-        self._drive(spec)
-        return spec
-
-    def unfused(self, visual: bool = False) -> mujoco.MjSpec:
-        """Return the model without what is left out, its bodies carried.
-
-        What is fixed to them is not yet part of them. Raise ValueError where it has the name of
-        something else in a scene.
-        """
-        spec = model_file.read(self.model)
-        self._leave_out(spec)
-        spec = _with_one_root(spec, self.file.root)
-        for find, name in product(
-            (spec.body, spec.joint, spec.geom, spec.site), RESERVED
-        ):
-            if find(name):
-                raise ValueError(
-                    f"model: found a part called {name!r}, which something else in every scene "
-                    "is called; rename it"
-                )
-        if not visual:
-            with model_file.reading():
-                spec.discard_visual()
-        for body in spec.bodies[1:]:
-            body.gravcomp = 1.0
-            body.mass = self.file.masses.get(body.name, body.mass)
-        for body in weightless(spec):
-            if list(body.bodies):
-                _make_light(body)
-        for joint in spec.joints:
-            if joint.name in self.ranges:
-                joint.range = np.array(self.ranges[joint.name]) / _unit(joint)
-                joint.limited = LIMITED
-        return spec
-
-    def _leave_out(self, spec: mujoco.MjSpec) -> None:
-        """Delete what no hand needs.
-
-        That is what the file says, what moves freely beside the hand, and what a scene has of its
-        own or has no use for.
-        """
-        names = [each.name for kind in KINDS for each in getattr(spec, kind)]
-        for pattern in self.file.drop:
-            if not filter_names(names, pattern):
-                raise ValueError(
-                    f"drop: found {pattern!r}, which nothing in the model is called"
-                )
-            for kind in KINDS:
-                for element in reversed(list(getattr(spec, kind))):  # children first
-                    if element.name != "world" and fnmatchcase(element.name, pattern):
-                        spec.delete(element)
-        roots = list(spec.worldbody.bodies)
-        if not self.file.root and not all(map(is_loose, roots)):
-            for body in filter(is_loose, roots):
-                spec.delete(body)
-        undrawable = model_file.undrawable(spec)
-        for geom in spec.geoms:
-            if geom.meshname in undrawable:
-                spec.delete(geom)
-        used = {geom.meshname for geom in spec.geoms}
-        flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
-        alone = len(list(spec.worldbody.bodies)) == 1
-        for element in (
-            *spec.sensors,
-            *spec.lights,
-            *spec.cameras,
-            *spec.keys,
-            *(mesh for mesh in spec.meshes if mesh.name not in used),
-            *(e for e, *bodies in joined(spec) if alone and "world" in bodies),
-            *(g for g in spec.worldbody.geoms if alone or g.type in flat),
-        ):
-            spec.delete(element)
-
-    def _couple(self, spec: mujoco.MjSpec) -> None:
-        """Couple by an equality what the file couples and the model does not.
-
-        What follows another joint by one gets what a servo's joint has, or it yields under load.
-        """
-        tied = {part.target.name for tendon in spec.tendons for part in tendon.path
-                if part.type == mujoco.mjtWrap.mjWRAP_JOINT}  # fmt: skip
-        tied |= {coupling.joint for coupling in followed(spec)}
-        for coupling in self.couplings:
-            if coupling.joint not in tied:
-                equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT)
-                equality.name1, equality.name2 = coupling.joint, coupling.driver
-                equality.data[:] = 0.0
-                equality.data[0] = coupling.offset - _rest(spec, *coupling[:3])
-                equality.data[1] = coupling.ratio
-        for coupling in followed(spec):
-            joint = spec.joint(coupling.joint)
-            damp(joint, self._servo(joint))
-
-    def _drive(self, spec: mujoco.MjSpec) -> None:
-        """Have servos on the joints, measured in the joints' units.
-
-        They are the model's, or the library's on all joints but those that follow another or are
-        passive. All joints that are driven have a range.
-        """
-        if not self.keeps_servos:
-            for actuator in spec.actuators:
-                spec.delete(actuator)
-        for actuator in spec.actuators:
-            if is_servo(spec, actuator):
-                measure_in_joints(spec, actuator)
-        followers = {coupling.joint for coupling in followed(spec)}
-        for joint in spec.joints if not spec.actuators else ():
-            if joint.name not in followers and joint.name not in self.passive:
-                servo = self._servo(joint)
-                damp(joint, servo)
-                add_servo(spec, joint.name, servo.gain, servo.limit)
-        for actuator in spec.actuators:
-            for name in arms(spec, actuator):
-                joint, is_free = spec.joint(name), actuator.ctrllimited == UNLIMITED
-                has_control_range = not is_free and np.ptp(actuator.ctrlrange) != 0
-                if is_unranged(joint) and not has_control_range:
-                    end = DEFAULT_RANGES[joint.type] / _unit(joint)
-                    joint.range = [-end, end]
-                    joint.limited = LIMITED
-
-    def _servo(self, joint: mujoco.MjsJoint) -> HingeServo:
-        servos = self.file.servos
-        return servos.slide if joint.type == LINEAR else servos.hinge
+    What is fixed to a body is not yet part of it. `visual` keeps what only pictures need.
+    """
+    spec = model_file.read(model)
+    _leave_out(spec, file)
+    spec = _with_one_root(spec, file.root)
+    if not visual:
+        with model_file.reading():
+            spec.discard_visual()
+    for body in spec.bodies[1:]:
+        body.gravcomp = 1.0
+        body.mass = file.masses.get(body.name, body.mass)
+    return spec
 
 
-def _make_light(body: mujoco.MjsBody) -> None:
-    """Give a body that has neither mass nor shape as little as moves."""
-    body.mass, body.inertia, body.explicitinertial = 1e-3, [1e-6] * 3, True  # kg, kg m²
+def _leave_out(spec: mujoco.MjSpec, file: HandFile) -> None:
+    """Delete what no hand needs.
+
+    That is what the file says, what moves freely beside the hand, and what a scene has of its
+    own or has no use for.
+    """
+    names = [each.name for kind in KINDS for each in getattr(spec, kind)]
+    for pattern in file.drop:
+        if not filter_names(names, pattern):
+            raise ValueError(
+                f"drop: found {pattern!r}, which nothing in the model is called"
+            )
+        for kind in KINDS:
+            for element in reversed(list(getattr(spec, kind))):  # children first
+                if element.name != "world" and fnmatchcase(element.name, pattern):
+                    spec.delete(element)
+    roots = list(spec.worldbody.bodies)
+    if not file.root and not all(map(is_loose, roots)):
+        for body in filter(is_loose, roots):
+            spec.delete(body)
+    used = {geom.meshname for geom in spec.geoms}
+    for element in (
+        *spec.sensors,
+        *spec.lights,
+        *spec.cameras,
+        *spec.keys,
+        *(mesh for mesh in spec.meshes if mesh.name not in used),
+        *(equality for equality, *bodies in joined(spec) if "world" in bodies),
+        *spec.worldbody.geoms,
+    ):
+        spec.delete(element)
+
+
+def touch_only_others(spec: mujoco.MjSpec) -> None:
+    """Have a hand collide with the object and the ground, and not with itself."""
+    for pair in (*spec.pairs, *spec.excludes):
+        spec.delete(pair)
+    for geom in spec.geoms:  # a contype without conaffinity
+        geom.contype = int(bool(geom.contype or geom.conaffinity))
+        geom.conaffinity = 0
+
+
+def fuse(spec: mujoco.MjSpec) -> None:
+    """Make what is fixed to a link part of it."""
+    for body in spec.bodies:
+        body.fuse = is_fixed(body)
+    with model_file.quiet():
+        spec.fuse_static()
+
+
+def set_range(joint: mujoco.MjsJoint, low: float, high: float) -> None:
+    """Give a joint a range, in rad or m."""
+    joint.range = np.array([low, high]) / _unit(joint)
+    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def couple(spec: mujoco.MjSpec, couplings: Iterable[Coupling], servos: Servos) -> None:
+    """Couple by an equality what a hand's file couples and its model does not.
+
+    What follows another joint by one gets what a servo's joint has, or it yields under load.
+    """
+    tied = {part.target.name for tendon in spec.tendons for part in tendon.path
+            if part.type == mujoco.mjtWrap.mjWRAP_JOINT}  # fmt: skip
+    tied |= {coupling.joint for coupling in followed(spec)}
+    for coupling in couplings:
+        if coupling.joint not in tied:
+            equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT)
+            equality.name1, equality.name2 = coupling.joint, coupling.driver
+            equality.data[:] = 0.0
+            equality.data[0] = coupling.offset - _rest(spec, *coupling[:3])
+            equality.data[1] = coupling.ratio
+    for coupling in followed(spec):
+        joint = spec.joint(coupling.joint)
+        _damp(joint, _servo_of(joint, servos))
+
+
+def drive(spec: mujoco.MjSpec, passive: Names, servos: Servos) -> None:
+    """Have servos on the joints, measured in the joints' units.
+
+    They are the model's, or where it has none the library's on all joints but those that follow
+    another or are passive. All joints that are driven have a range.
+    """
+    for actuator in spec.actuators:
+        if is_servo(spec, actuator):
+            measure_in_joints(spec, actuator)
+    followers = {coupling.joint for coupling in followed(spec)}
+    for joint in spec.joints if not spec.actuators else ():
+        if joint.name not in followers and joint.name not in passive:
+            servo = _servo_of(joint, servos)
+            _damp(joint, servo)
+            add_servo(spec, joint.name, servo.gain, servo.limit)
+    for actuator in spec.actuators:
+        for joint in map(spec.joint, arms(spec, actuator)):
+            is_free = actuator.ctrllimited == UNLIMITED
+            if is_unranged(joint) and (is_free or np.ptp(actuator.ctrlrange) == 0):
+                end = DEFAULT_RANGES[joint.type]
+                set_range(joint, -end, end)
 
 
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
@@ -254,9 +160,10 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     is named as root is all that there is, with what it carries, at rest. Raise ValueError where there
     is none, or several move freely.
     """
-    roots, chosen = list(spec.worldbody.bodies), spec.body(root) if root else None
-    if root and chosen is None:
-        raise ValueError(f"root: found no body {root!r} in the model")
+    roots, chosen = list(spec.worldbody.bodies), None
+    if root:
+        require_one_of([body.name for body in spec.bodies[1:]], root, "root")
+        chosen = spec.body(root)
     if not root and len(roots) == 1:
         for joint in roots[0].joints:
             if joint.type == FREE_JOINT:
@@ -274,10 +181,9 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         if chosen is None:
             base = whole.worldbody.add_body(name=BASE)
             whole.attach(spec, prefix="", frame=base.add_frame())
-            if all(
-                list(body.joints) for body in roots
-            ):  # nothing of it is part of the base
-                _make_light(base)
+            # Where nothing is part of the base it is as light as can be: 1 g, 1e-6 kg m².
+            if all(list(body.joints) for body in roots):
+                base.mass, base.inertia, base.explicitinertial = 1e-3, [1e-6] * 3, True
         else:
             for joint in chosen.joints:
                 spec.delete(joint)
@@ -297,7 +203,7 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
     return [
         {*chain(spec.body(first))} ^ {*chain(spec.body(second))}
         for equality, first, second in joined(spec)
-        if equality.active and "world" not in (first, second)
+        if equality.active
     ]
 
 
@@ -343,16 +249,6 @@ def is_unranged(joint: mujoco.MjsJoint) -> bool:
     return joint.limited == UNLIMITED or bool(is_auto and np.ptp(joint.range) == 0)
 
 
-def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
-    """Return bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
-
-    def weighs(body: mujoco.MjsBody) -> bool:
-        fixed = (weighs(child) for child in body.bodies if not list(child.joints))
-        return bool(body.mass > 0 or list(body.geoms) or any(fixed))
-
-    return [body for body in spec.bodies[1:] if list(body.joints) and not weighs(body)]
-
-
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
     """Yield a coupling where an equality of the model couples two joints.
 
@@ -396,12 +292,6 @@ def _rest(spec: mujoco.MjSpec, joint: str, driver: str, ratio: float) -> float:
     return float(rest - ratio * of_driver)
 
 
-def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:
-    """Return the rotation (3, 3) of the root with which the palm (3, 3) looks down."""
-    axes = np.column_stack([palmar, fingers, np.cross(palmar, fingers)])
-    return np.round(PALM_DOWN @ axes.T @ palm_in_root.T, 12) + 0.0
-
-
 # -- servos ----------------------------------------------------------------------------------
 
 
@@ -413,7 +303,11 @@ def add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> Non
     servo.set_to_position(kp=gain)
 
 
-def damp(joint: mujoco.MjsJoint, servo: HingeServo) -> None:
+def _servo_of(joint: mujoco.MjsJoint, servos: Servos) -> HingeServo:
+    return servos.slide if joint.type == LINEAR else servos.hinge
+
+
+def _damp(joint: mujoco.MjsJoint, servo: HingeServo) -> None:
     """Give a joint at least the damping and the armature of the library's servos."""
     joint.damping = np.maximum(joint.damping, [servo.damping, 0, 0])
     joint.armature = max(joint.armature, servo.armature)
@@ -428,8 +322,7 @@ def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
     is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
     pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
     moves = sum(arms(spec, actuator).values()) > 0
-    is_prompt = actuator.dyntype in DYNAMICS and not actuator.nsample
-    return bool(pulls and moves and is_prompt)
+    return bool(pulls and moves and actuator.dyntype in DYNAMICS)
 
 
 def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:

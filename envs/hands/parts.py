@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import filter as matching
 from functools import cached_property
 from importlib.util import find_spec
@@ -15,11 +15,10 @@ import mujoco
 import numpy as np
 
 from ..state import Array
-from ..validation import quoted, require_one_of, require_rising
+from ..validation import require_one_of, require_rising
 from . import model_file, mount
 from .geometry import perpendicular, placed, posed, unit
 from .hand import FOLDER, Coupling, Frame
-from .mount import Mount
 from .tables import HandFile, Names
 
 RANGE_TOLERANCE = 1e-3  # rad or m that an angle may be beyond a joint's range
@@ -55,10 +54,9 @@ class Parts:
         return self.folder != FOLDER
 
     @cached_property
-    def unread(self) -> Mount:
-        """The mount as far as the file alone says it."""
-        model = _model_file(self.file.model, self.folder)
-        return Mount(self.file, model, fuses=self.is_own)
+    def path(self) -> Path:
+        """The model's file."""
+        return _model_file(self.file.model, self.folder)
 
     @cached_property
     def raw(self) -> mujoco.MjSpec:
@@ -66,7 +64,7 @@ class Parts:
 
         Raises ValueError for what no hand can have.
         """
-        spec = self.unread.unfused()
+        spec = mount.cleaned(self.path, self.file, visual=False)
         weighing = [body.name for body in spec.bodies if body.explicitinertial]
         for name in self.file.masses:
             require_one_of(weighing, name, "masses")
@@ -77,45 +75,37 @@ class Parts:
                     f"body {joint.parent.name!r}: found {kind} joint {joint.name!r}, "
                     "allowed hinges and slides that have a name"
                 )
-        if empty := [body.name for body in mount.weightless(spec)]:
-            raise ValueError(
-                "model: found links without mass or shape; leave them out: "
-                f"drop = {quoted(empty)}"
-            )
+        return spec
+
+    def bare(self, visual: bool) -> mujoco.MjSpec:
+        """Return the model with the links, joints and servos of the hand, where its file has it."""
+        spec = mount.cleaned(self.path, self.file, visual)
+        if self.file.contacts == "others":
+            mount.touch_only_others(spec)
+        if self.is_own:
+            mount.fuse(spec)
+        for joint, span in self.by_joint(self.file.ranges, "ranges").items():
+            require_rising(span, f"ranges.{joint}")
+            mount.set_range(spec.joint(joint), *span)
+        mount.couple(spec, self.file_couplings, self.file.servos)
+        for actuator in spec.actuators if self.misfits else ():
+            spec.delete(actuator)
+        mount.drive(spec, self.passive, self.file.servos)
         return spec
 
     @cached_property
-    def mount(self) -> Mount:
-        """The mount of the model where the model's file has it."""
-        ranges = self.by_joint(self.file.ranges, "ranges")
-        for joint, span in ranges.items():
-            require_rising(span, f"ranges.{joint}")
-        return replace(
-            self.unread,
-            carrying=self.palm_frame.link,
-            ranges=ranges,
-            couplings=self.file_couplings,
-            keeps_servos=not self.replaced,
-            passive=self.passive,
-        )
+    def misfits(self) -> list[str]:
+        """Actuators that are no position servos, or on a joint that has one.
 
-    @cached_property
-    def misfits(self) -> dict[str, list[str]]:
-        """Actuators of the model, by why the library's servos replace them all."""
-        others, second, driven = list[str](), list[str](), set[str]()
+        Where there are some, all joints get the library's servos.
+        """
+        misfits, driven = list[str](), set[str]()
         for actuator in self.raw.actuators:
             joints = mount.arms(self.raw, actuator).keys()
-            if not mount.is_servo(self.raw, actuator):
-                others.append(actuator.name)
-            elif joints & driven:
-                second.append(actuator.name)
+            if not mount.is_servo(self.raw, actuator) or joints & driven:
+                misfits.append(actuator.name)
             driven |= joints
-        return {"no position servos": others, "on joints that have one": second}
-
-    @property
-    def replaced(self) -> bool:
-        """True where misfits are among the actuators: all joints get the library's servos."""
-        return any(self.misfits.values())
+        return misfits
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
@@ -135,14 +125,13 @@ class Parts:
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
-        """The model with its servos, where its file has it."""
-        return self.mount.bare()
+        """The model as the hand has it, without what only pictures need."""
+        return self.bare(visual=False)
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
         """Paths of all files of the model: the MJCF or URDF, its includes and meshes."""
-        path = self.unread.model
-        return (*model_file.parsed(path)[1], *model_file.assets(path, self.raw))
+        return model_file.files(self.path, self.raw)
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -254,11 +243,11 @@ class Parts:
         followers = [coupling.joint for coupling in self.follows]
         for joint in closed:
             if joint not in self.driven:
-                drop = quoted([*self.driven.values()])
-                hint = f", or give all joints the library's: drop = {drop}"
+                hint = "leave it out, or drop all actuators"
+                if joint in followers:
+                    hint = "it follows another: leave it out"
                 raise ValueError(
-                    f"closed.{joint}: found a joint without an actuator; leave it out"
-                    f"{'' if joint in followers else hint}"
+                    f"closed.{joint}: found a joint without an actuator; {hint}"
                 )
         return closed
 

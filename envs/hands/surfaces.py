@@ -204,11 +204,10 @@ def sensors(parts: Parts) -> Sensors:
         geoms = geoms_of(parts.model, frame.link) if frame.link in links else ()
         others = [geom for geom in geoms if not np.allclose(geom.position, place)]
         # A sensor of a shape of its own is in the middle of it, where no side is the nearest.
-        away, normal = outside(tuple(others) or geoms, place) if geoms else (0.0, place)
-        if not geoms:
-            left_out.append(f"{spot.name} is on {frame.link}, neither palm nor digit")
-        elif abs(away) >= OFF_SKIN or not normal.any():
-            left_out.append(f"{spot.name} is {1e3 * abs(away):.0f} mm off the skin")
+        shapes = tuple(others) or geoms
+        away, normal = outside(shapes, place) if geoms else (OFF_SKIN, place)
+        if abs(away) >= OFF_SKIN or not normal.any():
+            left_out.append(spot.name)
         else:
             radius = float(np.clip(spot.radius, MIN_RADIUS, MAX_RADIUS))
             at, outward = tuple(place.tolist()), tuple(normal.tolist())
@@ -218,7 +217,7 @@ def sensors(parts: Parts) -> Sensors:
 
 def _spots(parts: Parts) -> Iterator[Point]:
     """Yield every touch sensor of the model, whatever it lies on (`LOOKED_FOR`)."""
-    whole, touch = model_file.read(parts.unread.model), mujoco.mjtSensor.mjSENS_TOUCH
+    whole, touch = model_file.read(parts.path), mujoco.mjtSensor.mjSENS_TOUCH
     touching = {each.objname for each in whole.sensors if each.type == touch}
     for site in map(parts.model.site, (site.name for site in parts.spec.sites)):
         if site.name in touching:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 
-from ..envs import hands, scripted
-from ..envs.grasp import GraspEnv, setup
-from ..envs.hands import sandbox
+from .. import import_hand
+from ..envs import hands
+from ..envs.grasp import setup
 from ..errors import InputError, input_errors
 from ..files import pasted, replacing, require_new, writable
-from ..import_hand import guess
 from ..terminal import flags
 from ..terminal.console import console
 from .grasps import draw, find_grasp
@@ -28,7 +26,6 @@ examples:
   tactilerl hand robot.urdf --out my_hand.toml
   tactilerl hand leap_hand/right_hand.xml --out leap.toml"""
 HEADER = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
-MAX_JACOBIAN_ERROR = 1e-3  # of accelerations
 
 
 @dataclass(frozen=True)
@@ -75,8 +72,6 @@ def main(args: list[str]) -> int:
         if grasp is not None:
             with out.open("a", encoding="utf-8") as file:
                 file.write(f"\n{grasp.toml()}\n")
-            for note in _solver_notes(name):
-                console.print(f"  note: {note}")
     pose: Literal["start", "grasp"] = "start" if grasp is None else "grasp"
     title, picture = f"the {pose}, and the hand unrolled", out.with_suffix(".png")
     draw(console, title, name, scene, pose, picture, choices.overwrite)
@@ -97,13 +92,11 @@ def _write(choices: HandFlags, known: dict[str, Any]) -> None:
         path = Path(model).parent.resolve() / Path(model).name
         model = os.path.relpath(path, folder)
     known = {"palm": choices.palm, "drop": list(choices.drop), **known}
-    text, notes = sandbox.call(guess.describe, model, folder, known)
+    text = import_hand.describe(model, folder, known)
     with replacing(choices.out) as file:
         file.write((HEADER + text).encode())
     console.print(f"{choices.out}: guessed; correct it in the file:")
     console.print(text.partition("\n\n[opened]")[0])
-    for note in notes:
-        console.print(f"  note: {note}")
 
 
 def _servo_complaint(name: str) -> str:
@@ -116,20 +109,3 @@ def _servo_complaint(name: str) -> str:
             raise
     failing = [text for text in texts if "hang still" in text or "weak or slow" in text]
     return failing[0].partition(";")[0] if failing else ""
-
-
-def _solver_notes(name: str) -> list[str]:
-    """Say where MuJoCo's solver is wrong about the hand in its grasp."""
-    with GraspEnv(name, setup(name, layout="1", simulator="mujoco")) as env:
-        for _ in scripted.hold_steps(
-            env, scripted.grasp_for(env), scripted.Offsets(), 0.5
-        ):
-            pass
-        simulator: Any = env.simulator
-        error = simulator.jacobian_error()
-    if error < MAX_JACOBIAN_ERROR:
-        return []
-    return [
-        f"MuJoCo {version('mujoco')} solves this hand's grasp wrongly, by {100 * error:.2g} % "
-        "(google-deepmind/mujoco#3767): install mujoco 4.0.1 or newer"
-    ]

@@ -55,9 +55,7 @@ def panels(hand: Hand) -> list[Panel]:
     Digits stand side by side, their segments from the base up to the tip, and the palm below them.
     """
     spans = [np.multiply(1e3, surface.span).tolist() for surface in hand.surfaces]
-    columns = hand.digits
-    if set(columns) <= set(DIGITS):
-        columns = tuple(sorted(columns, key=DIGITS.index))
+    columns = sorted(hand.digits, key=lambda digit: (*DIGITS, digit).index(digit))
     middles: dict[str, float] = {}
     right = 0.0
     for digit in columns:
@@ -82,31 +80,25 @@ def panels(hand: Hand) -> list[Panel]:
     return drawn
 
 
-def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
-    """Return the words on the map and the middle (x, y) of the baseline of each, mm.
-
-    Each digit's name stands above its tip, and "palm" below the palm.
-    """
-    words, palm = [], []
-    for surface, panel in zip(hand.surfaces, drawn, strict=True):
-        if surface.segment == "palm":
-            palm.append((panel.x, panel.y + panel.low))
-        elif surface.segment == "distal":
-            baseline = panel.y + panel.high + EDGE + LETTERS / 3
-            words.append((surface.digit, panel.x, baseline))
-    if palm:
-        xs, lows = zip(*palm, strict=True)
-        words.append(("palm", sum(xs) / len(xs), min(lows) - EDGE - LETTERS))
-    return words
-
-
 class Unrolled:
     """Say where everything lies on the map of a hand, mm; up is towards the fingertips."""
 
     def __init__(self, hand: Hand) -> None:
-        """Lay out the hand's surfaces and words."""
-        self.panels = panels(hand)
-        self.labels = labels(hand, self.panels)
+        """Lay out the hand's surfaces and words.
+
+        Each digit's name stands above its tip, and "palm" below the palm: `labels` has the words, and
+        the middle (x, y) of the baseline of each.
+        """
+        self.panels, self.labels = panels(hand), list[tuple[str, float, float]]()
+        palm = []
+        for surface, panel in zip(hand.surfaces, self.panels, strict=True):
+            if surface.segment == "palm":
+                palm.append(panel)
+            elif surface.segment == "distal":
+                baseline = panel.y + panel.high + EDGE + LETTERS / 3
+                self.labels.append((surface.digit, panel.x, baseline))
+        below = min(panel.y + panel.low for panel in palm) - EDGE - LETTERS
+        self.labels.append(("palm", sum(p.x for p in palm) / len(palm), below))
         lefts, lows, rights, tops = zip(*(p.box for p in self.panels), strict=True)
         margin = MARGIN - EDGE
         left, right = min(lefts) - margin, max(rights) + margin

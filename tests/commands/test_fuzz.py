@@ -129,7 +129,7 @@ FILES = [  # which is damaged, what reads it, what it holds, and how often
 
 
 @pytest.mark.parametrize(("file", "args", "good", "n"), FILES)
-def test_files(run, tried, cases, read_here, file, args, good, n):
+def test_files(run, tried, cases, file, args, good, n):
     rng, path = random.Random(1), Path(file)
     shutil.copy(HAND / "gripper.xml", ".")
     good = good or path.read_text()

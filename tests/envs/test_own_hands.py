@@ -17,7 +17,6 @@ from one_line import fails_with
 
 FILES = Path(__file__).parents[1] / "hands"
 GRIPPER = str(FILES / "gripper.toml")
-pytestmark = pytest.mark.usefixtures("read_here")
 
 
 @pytest.fixture
@@ -107,6 +106,13 @@ class TestHand:
             return
         fails_with(capsys, ["env", "--env", path], complaint)
 
+    def test_it_is_read_once_and_again_when_a_file_changes(self, own):
+        path = own()
+        first = hands.get(path)
+        assert hands.get(path) is first
+        own("-0.7 1.2", "-0.7 1.1", "gripper.xml")  # and not the TOML
+        assert hands.get(path) is not first
+
     def test_the_digest_is_of_what_the_model_includes_too(self, own, tmp_path):
         (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='1'/></mujoco>")
         path = own("  <worldbody>", "  <include file='more.xml'/><worldbody>", "gripper.xml")
@@ -115,13 +121,11 @@ class TestHand:
         (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='2'/></mujoco>")
         assert hands.digest(path) != before
 
-    @pytest.mark.parametrize(
-        ("damping", "why"), [(0.0, "6 of its servos have no damping"), (1e-3, "joint 'back_tip'")]
-    )
-    def test_a_model_that_breaks_by_itself_is_refused(self, own, damping, why):
+    @pytest.mark.parametrize("damping", [0.0, 1e-3])
+    def test_a_model_that_breaks_by_itself_is_refused(self, own, damping):
         """A stiff servo on a light link, taken in steps that are too large for it."""
         stiff = f"[servos.hinge]\ngain = 1e5\ndamping = {damping}\narmature = 0.0\nlimit = 1e6\n"
-        with pytest.raises(ValueError, match=f"does not hang still: {why}"):
+        with pytest.raises(ValueError, match="does not hang still: joint"):
             hands.get(own("[digits]", f"{stiff}[digits]"))
 
     def test_closing_actions(self, own):
@@ -168,7 +172,7 @@ class TestTaxelFiles:
     def test_a_link_that_the_hand_has_not(self, tmp_path):
         path = tmp_path / "a.csv"
         path.write_text("link,x,y,z,nx,ny,nz,radius\ntoe,0,0,0,0,0,1,.002\n")
-        with pytest.raises(ValueError, match="found link 'toe', allowed: left_1, left_2"):
+        with pytest.raises(ValueError, match="link: found 'toe', allowed: left_1, left_2"):
             layouts.load(str(path)).place(hands.get(GRIPPER))
 
     def test_points_off_the_skin_are_named(self, taxels):

@@ -72,7 +72,7 @@ ALL = [f'<position name="{j}" joint="{j}" kp="5"/>' for j in ("l_a", "l_b", "r_a
 
 
 @pytest.fixture
-def made(tmp_path, read_here):
+def made(tmp_path):
     """made(model, toml, name) is the path of a hand's file beside its model."""
 
     def make(model=MODEL, toml=TOML, name="hand.xml"):
@@ -196,21 +196,20 @@ class TestServos:
         assert found["l_a"] + found["l_b"] == pytest.approx(0.6, abs=0.02)
 
     @pytest.mark.parametrize(
-        ("more", "why"),
+        "more",
         [
-            (['<motor name="m" joint="l_a"/>'], "these are no position servos: m"),
-            ([*ALL, '<position name="m" joint="l_a" kp="1"/>'], "these are on joints that have one: m"),
-            ([*ALL[1:], '<position name="m" joint="l_a" kp="5" delay="0.2" nsample="60"/>'], "no pos"),
-            ([*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'], "no position servos: m"),
-            ([*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'], "no position servos: m"),
-            ([*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'], "no position"),
+            ['<motor name="m" joint="l_a"/>'],
+            [*ALL, '<position name="m" joint="l_a" kp="1"/>'],
+            [*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'],
+            [*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'],
+            [*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'],
         ],
     )
-    def test_what_is_no_set_of_position_servos_is_replaced_with_a_note(self, made, more, why):
+    def test_what_is_no_set_of_position_servos_is_replaced_with_a_note(self, made, more):
         hand = hands.get(made(with_more(servos(*more))))
         assert len(hand.actuated) == 7
         assert hand.notes[0].startswith("joints have the library's servos, as these are ")
-        assert why in hand.notes[0]
+        assert hand.notes[0].endswith(": m")
 
     @pytest.mark.parametrize("limited", ["", 'ctrllimited="false" '])
     def test_a_servo_moves_a_joint_without_a_range(self, made, simulator, limited):
@@ -280,9 +279,6 @@ class TestServos:
         (tmp_path / "in/b.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>')
         path, beside = made(with_more('<include file="in/a.xml"/>')), tmp_path / "in/b.xml"
         assert beside in hands.get(path).files
-        (tmp_path / "in/a.xml").write_text('<mujoco><include file="a.xml"/></mujoco>')
-        with pytest.raises(ValueError, match=r"in/a\.xml included twice, allowed once"):
-            hands.get(path)
         (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
         (tmp_path / "b.xml").write_text('<mujoco><option timestep="0.002"/></mujoco>')
         hands._read.clear()
@@ -294,22 +290,15 @@ class TestServos:
 UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)
 BALL = '<body name="pad"><joint type="ball"/><geom size=".005"/></body>'
 FREE = '</body><body name="ball"><freejoint/><geom size="0.1"/>'
-EMPTY = "".join(f'<body name="e{i}"><joint name="e{i}"/></body>' for i in range(2))
-LOW = TOML.replace("[[grasp]]", "[place]\nat = [0, 0, 0.03]\n[[grasp]]")
 UNMOVED = TOML.replace("[closed]", '[opened]\n"l_a" = 0.6\nl_b = 0.3\n[closed]')
 NO_HANDS = [
     (MODEL, TOML.replace("[0, 0, -1]", "[0, 0, 1]"), r"palmar: .* did you mean \[0\.0, 0\.0, -1"),
     (MODEL, TOML.replace('"?_b" = 0.3', '"?_b" = 9.0'), "closed.l_b: found 9, allowed 0 to 1.5"),
-    (MODEL, LOW, "the hand starts 6. mm in the ground"),
     (MODEL, UNMOVED, "digits.thumb: .*closed"),
     (with_more(coupled("0 1 0.2")), FOLLOWERS, r"'l_b' coupled to 'l_a' by \[0.2, 0.0, 0.0\] beyond"),
-    (with_more(servos(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""), r'closed.l_b: .* drop = \["r_a"\]'),
+    (with_more(servos(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""), "closed.l_b: .* drop all actuators"),
     (on_palm(BALL), TOML, "body 'pad': found ball joint '', allowed hinges"),
-    (on_palm(EMPTY), TOML, r'leave them out: drop = \["e0", "e1"\]'),
     (on_palm("<freejoint/>").replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \("),
-    (on_palm('<body name="object"/>'), TOML, "found a part called 'object'"),
-    (on_palm('<site name="giver"/>'), TOML, "found a part called 'giver'"),
-    (with_more('<compiler settotalmass="1"/>'), TOML, "found settotalmass, allowed masses"),
     (with_more('<equality><weld body1="no"/></equality>'), TOML, "found no body called 'no'"),
     (with_more('<equality><weld site1="no" site2="no"/></equality>'), TOML, "no site called 'no'"),
 ]
@@ -328,24 +317,8 @@ class TestModels:
 
     def test_what_moves_freely_beside_the_hand_is_left_out(self, made):
         hand = hands.get(made(MODEL.replace(FINGERS, FINGERS + FREE)))
-        assert hand.notes == ("left out, as they move freely beside the hand: ball",)
+        assert not hand.notes
         assert all(body.name != "ball" for body in hand.build().bodies)
-
-    @pytest.mark.parametrize("content", [None, b"", b"version https://git-lfs.github.com/spec/v1"])
-    def test_what_only_pictures_need_may_be_missing(self, made, tmp_path, content):
-        """Meshes and textures; a mesh that collides is needed."""
-        asset = '<asset><texture name="t" type="2d" file="t.png"/><material name="t" texture="t"/>' \
-                '<mesh name="v" file="v.stl"/></asset><worldbody>'  # fmt: skip
-        drawn = '<geom type="mesh" mesh="v" material="t" contype="0" conaffinity="0"/>'
-        for file in ("v.stl", "t.png") if content is not None else ():
-            (tmp_path / file).write_bytes(content)
-        path = made(on_palm(drawn).replace("<worldbody>", asset))
-        assert hands.get(path).notes[0].startswith("left out of pictures, as their files are missing")
-        assert hands.digest(path)
-        GraspEnv(path, setup(path, layout="5"), render_mode="rgb_array")
-        path = made(on_palm(drawn.replace("0", "1")).replace("<worldbody>", asset))
-        with pytest.raises(ValueError, match=r"model: Error: .*v\.stl"):
-            hands.get(path)
 
     def test_a_model_may_balance_its_inertias(self, made):
         flat = '<inertial pos="0 0 0" mass="0.03" diaginertia="1e-5 1e-5 3e-5"/>'
@@ -374,12 +347,11 @@ class TestModels:
 
     def test_what_a_model_says_about_the_world_is_left_out(self, made):
         world = (
-            '<option gravity="0 0 9" density="9" wind="1 0 0" o_margin="1" actuatorgroupdisable="3">'
-            '<flag gravity="disable" contact="disable" override="enable"/></option>'
+            '<option gravity="0 0 9" density="9" wind="1 0 0" >'
+            '<flag gravity="disable" contact="disable"/></option>'
             '<size memory="20K"/><equality><weld body1="palm"/><weld site1="p" site2="w"/></equality>'
         )
-        off = servos(*ALL[:2]).replace("/>", ' group="3"/>')
-        model = with_more(world, off).replace(PALM, PALM + '<site name="p"/>')
+        model = with_more(world).replace(PALM, PALM + '<site name="p"/>')
         model = model.replace("<worldbody>", '<worldbody><site name="w"/>')
         usual, changed = (
             GraspEnv(path, setup(path, layout="5")).simulator.model
@@ -480,9 +452,8 @@ class TestUrdf:
         [
             (urdf('<mesh filename="a/bone.dae"/>'), "collision mesh a/bone.dae, allowed STL and OBJ"),
             (urdf('<mesh filename="package://no/bone.stl"/>'), "found no file for mesh package://no"),
-            (urdf().replace('upper="1.5"', 'upper="90"'), r"'l_a': found limits \[0.0, 90.0\], .* deg"),
-            (urdf(mimic='<mimic joint="{n}_x"/>'), "'l_b': found <mimic> of 'l_x', allowed another"),
-            (f"<robot {XACRO}><xacro:macro/></robot>", "xacro hand.urdf > hand.urdf"),
+            (urdf()[:-9], "model: .*no element found|model: unclosed token"),
+            (f"<robot {XACRO}><xacro:macro/></robot>", "found xacro, which ROS expands: xacro FILE"),
         ],
     )
     def test_what_is_missing_is_said(self, made, model, complaint):
@@ -542,9 +513,9 @@ class TestSensors:
         shaped = found(pads.replace('_sensor_1"/><joint', f'_sensor_1">{box}<joint'))
         np.testing.assert_allclose(shaped.sensors.points[0].normal, taxels.normals[0], atol=1e-3)
         hand = found(pads.replace("0.008", "0.02", 1))
-        assert str(hand.sensors) == "1 of 2 left out: l_sensor_1 is 12 mm off the skin"
+        assert str(hand.sensors) == "left out, as they are not on the skin: l_sensor_1"
         hand = found(pads.replace("0.008", "0.02"))
-        with pytest.raises(ValueError, match="no taxel on the hand hand: 2 of 2 left out: l_sensor_1"):
+        with pytest.raises(ValueError, match=r"no taxel .*: left out, .*: l_sensor_1, r_s"):
             layouts.load("model").place(hand)
         with pytest.raises(ValueError, match=r"no taxel .*: looked for sites with MuJoCo's <touch>"):
             layouts.load("model").place(found(""))

@@ -84,7 +84,7 @@ class TestKinematics:
 
 class TestPhysics:
     @pytest.mark.parametrize("hand", [*hands.HANDS, GRIPPER])
-    def test_scripted_grasps_hold_and_the_taxels_feel_them(self, simulator, hand, read_here):
+    def test_scripted_grasps_hold_and_the_taxels_feel_them(self, simulator, hand):
         env = GraspEnv(hand, setup(hand, simulator=simulator, layout="1"))
         start = scripted.perturbed_start(env, 3, 0)
         held, bits = [], []

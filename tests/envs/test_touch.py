@@ -81,7 +81,7 @@ def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
 
 
 @pytest.mark.parametrize(("gap", "on"), [(touch.SKIN - 1e-4, True), (touch.SKIN + 1e-4, False)])
-def test_boxes_and_hulls_feel_what_is_within_their_skin(gap, on, read_here):
+def test_boxes_and_hulls_feel_what_is_within_their_skin(gap, on):
     """A cube has its face over each taxel of a gripper of boxes and meshes; links are far apart."""
     hand = hands.get(str(Path(__file__).parents[1] / "hands/gripper.toml"))
     taxels = layouts.load("5").place(hand)

@@ -19,13 +19,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from ..envs import validation
-from ..envs.hands import mount
-from ..envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
-from ..envs.hands.hand import DIGITS
-from ..envs.hands.parts import Angles, Parts, between
-from ..envs.hands.tables import HandFile
-from ..envs.state import Array
+from .envs import validation
+from .envs.hands import mount
+from .envs.hands.geometry import gap, geoms_of, meet, placed, posed, unit
+from .envs.hands.hand import DIGITS
+from .envs.hands.parts import Angles, Parts, between
+from .envs.hands.tables import HandFile
+from .envs.state import Array
 
 WORDS = {
     "thumb": "thumb|th|pollex",
@@ -38,7 +38,6 @@ MAX_LINKS = 4  # of a digit, counted from its tip
 MAX_WRIST_JOINTS = 2  # joints outside of a hand that are no arm
 LARGEST_MOUNT = 0.4  # m from the palm: what reaches further is no part of a hand
 AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
-BEND_ASYMMETRY = 0.13  # share of its range by which a joint bends further one way
 STEP = 0.01  # rad or m, by which a joint goes to see what it turns
 TRIAL_ANGLE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
 MIN_APPROACH = 5e-3  # m by which a tip comes nearer to others when a joint closes
@@ -53,20 +52,17 @@ DISTAL_SHARE = 0.5  # of the way of a finger's first joint, what those beyond it
 HALF_OPEN, OPENING = 0.5, 0.11
 """Least share of opening at the start, and distance between thumb and fingers there, m."""
 FLEXING = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
-ALONG_PALM = 0.5, 0.25, 0.0, 0.75
-"""Shares of the way from the palm's middle to the fingers where its skin is looked for."""
 ALMOST_CLOSED = 0.85  # share of their way where fingers lie in front of the palm
 AXES = [*np.eye(3), *-np.eye(3)]
 
 
-def describe(model: str, folder: Path, known: dict[str, Any]) -> tuple[str, list[str]]:
-    """Return the text of a hand's file in a folder, and notes on what was guessed.
+def describe(model: str, folder: Path, known: dict[str, Any]) -> str:
+    """Return the text of a hand's file in a folder.
 
     `model` is written as in the file, `known` has keys of the file that are not to be guessed, and
     `servos` where the model's are to be dropped. Raises ValueError naming what the model does not say.
     """
-    guess = Guess(model, folder, known)
-    return guess.toml(), guess.notes
+    return Guess(model, folder, known).toml()
 
 
 class Guess:
@@ -74,53 +70,33 @@ class Guess:
 
     def __init__(self, model: str, folder: Path, known: dict[str, Any]) -> None:
         """Find the palm and the chains of links that hang on it."""
-        self.folder, self.notes = folder, list[str]()
+        self.folder = folder
         unknown = {"palmar": [1, 0, 0], "fingers": [0, 1, 0], "palm_point": [0, 0, 0]}
         empty = {"palm": "", "digits": {}, "drop": []}
         self.keys: dict[str, Any] = {"model": model, **empty, **unknown, **known}
         if self.keys.pop("servos", None):
             self.keys["drop"] += [actuator.name for actuator in self._spec().actuators]
-        self._find_palm(self._spec())
+        spec = self._spec()
+        self.keys["palm"] = self.keys["palm"] or _palm_of(spec)
+        bodies = [body.name for body in spec.bodies]
+        validation.require_one_of(bodies, self.keys["palm"], "palm")
+        root = _root_of(spec.body(self.keys["palm"]))
+        if len(spec.joints) - _n_joints(root) > MAX_WRIST_JOINTS:
+            self.keys["root"] = root.name
         self.parts = self._parts()
-        if self._is_on_a_stand() and "root" not in self.keys:
-            self._cut()
+        if self._is_on_a_stand():
+            self.keys["root"] = root.name
             self.parts = self._parts()
         self.frame = self.parts.palm_frame
-        self.chains = chains_of(self.parts, self.frame.link, self.notes)
+        self.chains = chains_of(self.parts, self.frame.link)
 
     def _parts(self) -> Parts:
         """Return the parts of a hand of which only the keys so far are known."""
         return Parts(validation.fill(HandFile, self.keys), self.folder)
 
     def _spec(self) -> mujoco.MjSpec:
-        return self._parts().unread.unfused()
-
-    def _find_palm(self, spec: mujoco.MjSpec) -> None:
-        """Set the palm, and the root where the palm hangs on an arm.
-
-        The root is the palm, or the link that it is part of where more digits hang on other parts of
-        that link. As many are those of another hand.
-        """
-        if not self.keys["palm"]:
-            self.keys["palm"] = self._palm_of(spec)
-        bodies = [body.name for body in spec.bodies]
-        validation.require_one_of(bodies, self.keys["palm"], "palm")
-        palm = spec.body(self.keys["palm"])
-
-        def n_joints(body: mujoco.MjsBody) -> int:
-            return sum(len(child.find_all("joint")) for child in body.bodies)
-
-        link = mount.link_of(palm)
-        n_others = n_joints(link) - n_joints(palm)
-        has_other_hand = n_others >= n_joints(palm) and len(palm.bodies) > 1
-        root = palm if n_others == 0 or has_other_hand else link
-        self._root = root.name
-        if len(spec.joints) - n_joints(root) > MAX_WRIST_JOINTS:
-            self._cut()
-
-    def _cut(self) -> None:
-        self.keys["root"] = self._root
-        self.notes.append(f"root: cut off what {self._root} hangs on")
+        parts = self._parts()
+        return mount.cleaned(parts.path, parts.file, visual=False)
 
     def _is_on_a_stand(self) -> bool:
         """Return whether the palm is part of, or hangs on, what is too large for a hand."""
@@ -134,37 +110,6 @@ class Guess:
             for point in geom.points
         ]
         return bool(max(away, default=0.0) > LARGEST_MOUNT)
-
-    def _palm_of(self, spec: mujoco.MjSpec) -> str:
-        """Return the body of the link from which most digits branch, furthest from the root.
-
-        It is what that link hangs on where further digits, such as the thumb, hang there beside it.
-        """
-        bases: dict[str, list[mujoco.MjsBody]] = {}  # of digits, by their link
-        for body in spec.bodies[1:]:
-            moves = list(body.joints) and body.parent.name != "world"
-            if moves and body.find_all("geom"):
-                bases.setdefault(mount.link_of(body.parent).name, []).append(body)
-
-        def rank(link: str) -> tuple[int, int]:
-            return len(bases[link]), len(mount.chain(spec.body(link)))
-
-        def branches(body: mujoco.MjsBody) -> bool:
-            below = (body, *body.find_all("body"))
-            return any(len(bases.get(each.name, ())) > 1 for each in below)
-
-        most = max(map(rank, bases), default=(0, 0))
-        if most[0] < 2:
-            raise ValueError(
-                "palm: found no body from which two digits branch; name it with --palm"
-            )
-        link = next(link for link in bases if rank(link) == most)
-        above = spec.body(link).parent
-        carrying = "" if above.name == "world" else mount.link_of(above).name
-        beside = [each for each in bases.get(carrying, ()) if each.name != link]
-        if beside and not any(map(branches, beside)):
-            link = carrying
-        return mode(body.parent.name for body in bases[link])
 
     # -- the digits, and where they go -------------------------------------------------------
 
@@ -183,25 +128,13 @@ class Guess:
             if len(names) == 2 or alike[loner] < others - MAX_THUMB_COSINE:
                 names[loner] = "thumb"
         free = iter([name for name in DIGITS[1:] if name not in names])
-        for number in self._row(names):
+        from_thumb = np.zeros(len(names))
+        if "thumb" in names:
+            away = self.begins - self.begins[names.index("thumb")]
+            from_thumb = np.linalg.norm(away, axis=1).round(6)
+        for number in np.argsort(from_thumb, kind="stable"):
             names[number] = names[number] or next(free, f"finger{number + 1}")
         return names
-
-    def _row(self, names: list[str]) -> list[int]:
-        """Return the numbers of digits as they stand in their row, from the thumb where there is one.
-
-        The row is the line on which the others begin.
-        """
-        if "thumb" not in names:
-            return list(range(len(names)))
-        thumb = names.index("thumb")
-        begins = self.begins - np.delete(self.begins, thumb, axis=0).mean(axis=0)
-        along = begins @ np.linalg.svd(np.delete(begins, thumb, axis=0))[2][0]
-        others = [number for number in range(len(names)) if number != thumb]
-        ahead = round(along[thumb], 3) or along[others[0]] - along[others[-1]]
-        return sorted(
-            others, key=lambda number: -np.sign(ahead) * along[number].round(6)
-        )
 
     @cached_property
     def thumb(self) -> int | None:
@@ -273,27 +206,24 @@ class Guess:
     def _ends(self, number: int) -> dict[str, tuple[float, float]]:
         """Return (open, closed) of slides, and of hinges that turn about the axis of the last.
 
-        A joint closes to the side on which there is more of its range. Slides, joints of two digits
-        that are all, and those with as much on both sides close where the tip comes nearer to the
-        others'.
+        A joint closes to the side on which the tip comes nearer to the others', or else to that on
+        which there is more of its range.
         """
         joints = self.chains[number].joints
         axes = {joint: self.turning(number, joint, {}) for joint in joints}
         hinges = [axis for axis in axes.values() if np.linalg.norm(axis) > FLEXING]
         middle, ends = self.tips({}).mean(axis=0), {}
         for joint, axis in axes.items():
-            slides = np.linalg.norm(axis) <= FLEXING
-            if not slides and abs(axis @ hinges[-1]) <= FLEXING:
+            is_hinge = np.linalg.norm(axis) > FLEXING
+            if is_hinge and abs(axis @ hinges[-1]) <= FLEXING:
                 continue
             begin, (low, high) = self.parts.inside(joint), self.limits(joint)
             step = min(TRIAL_ANGLE, (high - low) / 4)
             tips = [self.tips({joint: begin + way * step})[number] for way in (-1, 1)]
             down, up = np.linalg.norm(tips - middle, axis=1)
-            way = low + high - 2 * begin
-            is_even = abs(way) < BEND_ASYMMETRY * (high - low)
-            by_tip = slides or is_even or len(self.chains) == 2
-            if by_tip and abs(down - up) > MIN_APPROACH:
-                way = down - up
+            way = down - up
+            if abs(way) <= MIN_APPROACH:
+                way = low + high - 2 * begin
             opened, closed = (low, high) if way > 0 else (high, low)
             is_long = abs(closed - begin) >= abs(opened - begin)
             ends[joint] = begin if is_long else opened, closed
@@ -340,11 +270,9 @@ class Guess:
         geoms = geoms_of(self.parts.model, self.frame.link)
         inward = -np.array(self.frame.direction(self.directions[0]))
         bases, middle = self.begins[self.fingers].mean(axis=0), _middle(self.palm_skin)
-        for share in ALONG_PALM:
-            place = self.frame.point(middle + share * (bases - middle))
-            if met := meet(geoms, np.array(place), inward):
-                return self.in_palm(met[0])
-        return middle
+        place = np.array(self.frame.point((middle + bases) / 2))
+        met = meet(geoms, place, inward)
+        return middle if met is None else self.in_palm(met[0])
 
     # -- open and closed ---------------------------------------------------------------------
 
@@ -463,6 +391,42 @@ def _middle(points: Array) -> Array:
 # -- how the parts hang ----------------------------------------------------------------------
 
 
+def _palm_of(spec: mujoco.MjSpec) -> str:
+    """Return the body of the link from which most digits branch, furthest from the root."""
+    bases: dict[str, list[str]] = {}  # bodies on which digits begin, by their link
+    for body in spec.bodies[1:]:
+        above = body.parent
+        if list(body.joints) and above.name != "world" and body.find_all("geom"):
+            bases.setdefault(mount.link_of(above).name, []).append(above.name)
+
+    def rank(link: str) -> tuple[int, int]:
+        return len(bases[link]), len(mount.chain(spec.body(link)))
+
+    link = max(bases, key=rank, default="")
+    if len(bases.get(link, ())) < 2:
+        raise ValueError(
+            "palm: found no body from which two digits branch; name it with --palm"
+        )
+    return mode(bases[link])
+
+
+def _root_of(palm: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return where the hand of a palm begins if it is cut off what it hangs on.
+
+    That is the palm, or the link that it is part of where more digits hang on other parts of
+    that link. As many are those of another hand.
+    """
+    link = mount.link_of(palm)
+    n_others = _n_joints(link) - _n_joints(palm)
+    has_other_hand = n_others >= _n_joints(palm) and len(palm.bodies) > 1
+    return palm if n_others == 0 or has_other_hand else link
+
+
+def _n_joints(body: mujoco.MjsBody) -> int:
+    """Return how many joints move what hangs on a body."""
+    return sum(len(child.find_all("joint")) for child in body.bodies)
+
+
 class Chain(NamedTuple):
     """A digit."""
 
@@ -476,11 +440,10 @@ class Chain(NamedTuple):
     """The digit that its links or joints are named after, or ""."""
 
 
-def chains_of(parts: Parts, palm: str, notes: list[str]) -> list[Chain]:
+def chains_of(parts: Parts, palm: str) -> list[Chain]:
     """Return the digits that hang on a palm: of what a closed loop joins, the furthest chain.
 
-    What carries several of them belongs to none. Notes say so, and which links have no shape. Raises
-    ValueError for fewer than two.
+    What carries several of them belongs to none. Raises ValueError for fewer than two.
     """
     spec, data, loops = parts.spec, posed(parts.model, {}), mount.loops(parts.spec)
     above = mount.chain(spec.body(palm))
@@ -507,12 +470,6 @@ def chains_of(parts: Parts, palm: str, notes: list[str]) -> list[Chain]:
         raise ValueError(
             f"digits: found {len(digits)} from body {palm!r}, allowed 2 or more"
         )
-    shapeless = [link for link in carried if not geoms_of(parts.model, link)]
-    said = {
-        "no part of a digit, as several hang on them: ": sorted(shared),
-        "left out of digits, as they have no shape that collides: ": sorted(shapeless),
-    }
-    notes += [text + ", ".join(links) for text, links in said.items() if links]
     return digits
 
 
