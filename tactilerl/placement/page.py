@@ -33,6 +33,7 @@ def _data(design: Design) -> dict[str, Any]:
     pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin
     drawn, simulator = Unrolled(hand), design.as_dict()["simulator"]
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
+    candidates = pool.whole
     words, dots = places.described(taxels, hand), []
     for index, place in enumerate(places.of(taxels)):
         x, y = drawn.point(place)
@@ -46,7 +47,7 @@ def _data(design: Design) -> dict[str, Any]:
                 "where": words[index],
                 "board": int(pool.prices.groups[index]) if pool.prices else 0,
                 "toml": layout.toml().split("\n", 1)[1],  # without the description
-                "candidate": index in pool.columns,
+                "candidate": index in candidates,
             }
         )
     losses = zip(pool.losses.names, pool.losses.members, strict=True)
@@ -64,10 +65,10 @@ def _data(design: Design) -> dict[str, Any]:
         "recordings": [
             {
                 "waits": wait,
-                "choice": _starts(design.choice[wait]),
+                "choice": _starts(design.judge.choice[wait]),
                 "test": _starts(starts),
             }
-            for wait, starts in design.test.items()
+            for wait, starts in design.judge.test.items()
         ],
         "survives": pool.flags.survives,
         "loss": layouts.short(pool.flags.survives or "taxel"),
