@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # The rooms of the application, and the few files beside them: each may use itself and those before.
 ROOMS = ["envs", "algos", "version", "errors", "files", "machine", "statistics", "style", "terminal"]
-ROOMS += ["runs", "pictures", "scripted", "placement", "import_hand", "study", "commands", "api"]
+ROOMS += ["runs", "scripted", "pictures", "placement", "import_hand", "study", "commands", "api"]
 ROOMS += ["", "__main__"]
 BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "api", "", "__main__"}
 ALLOWED = {
