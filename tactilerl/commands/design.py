@@ -12,12 +12,11 @@ from rich.table import Column, Table
 
 from ..envs import layouts
 from ..errors import InputError, input_errors
-from ..files import as_json, pasted, replacing, require_new
+from ..files import as_json, replacing, require_new
 from ..machine import free_cores
 from ..pictures import places
 from ..placement.candidates import DesignFlags, Pool
 from ..placement.choice import Design, design, difference, n_played
-from ..placement.drawing import drawing
 from ..placement.page import page
 from ..terminal import flags
 from ..terminal.console import console, progress
@@ -48,7 +47,7 @@ class Flags(DesignFlags):
     leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
     """Not on these segments or digits, named likewise."""
     out: Path | None = None
-    """FILE.toml for one layout and its drawing, or a folder for all of them, a page and JSON."""
+    """FILE.toml for the largest layout, or a folder for all of them, a page and JSON."""
     overwrite: bool = False
     """Replace files of --out that are there."""
     json: bool = False
@@ -94,8 +93,6 @@ def main(args: list[str]) -> int:
         )
     for path in written:
         console.print(str(path))
-    if written:
-        console.print(_hint(results[0], written[-1]))
     return 0
 
 
@@ -105,54 +102,28 @@ def require_out(out: Path, n: int, overwrite: bool) -> None:
         raise InputError(
             f"--out: found with {n} sensors or thresholds, allowed with one: each has its own layouts"
         )
-    if out.suffix == ".toml":
-        if not out.parent.is_dir():
-            raise InputError(f"--out: found no folder {str(out.parent)!r}")
-        require_new(out.with_suffix(".svg"), overwrite)
-    elif out.suffix:
+    if out.suffix not in ("", ".toml"):
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
+    if out.suffix and not out.parent.is_dir():
+        raise InputError(f"--out: found no folder {str(out.parent)!r}")
     require_new(out, overwrite)
 
 
 def write(result: Design, out: Path) -> list[Path]:
-    """Write the best layout and its drawing, or to a folder all layouts, drawings, a page and JSON.
-
-    Return the files, with the best layout as the last.
-    """
-    pool, contents = result.pool, dict[Path, bytes]()
-    is_file = out.suffix == ".toml"
-    if not is_file:
+    """Write the largest layout to a file, or to a folder all, a page and JSON; return the files."""
+    contents = {out: result.layout(max(result.chosen)).toml().encode()}
+    if out.suffix != ".toml":
         out.mkdir(parents=True, exist_ok=True)
+        contents = {
+            out / f"design_{key:g}.toml": result.layout(key).toml().encode()
+            for key in result.chosen
+        }
         contents[out / "design.html"] = page(result)
         contents[out / "design.json"] = as_json(result.as_dict())
-    for key in [max(result.chosen)] if is_file else result.chosen:
-        path, layout = (
-            out if is_file else out / f"design_{key:g}.toml",
-            result.layout(key),
-        )
-        taxels = pool.skin.take(result.chosen[key])
-        drawn = drawing(pool.hand, taxels, layout.description)
-        contents[path.with_suffix(".svg")] = drawn.encode()
-        contents[path] = layout.toml().encode()
     for path, content in contents.items():
         with replacing(path) as file:
             file.write(content)
     return list(contents)
-
-
-def _hint(result: Design, path: Path) -> str:
-    """Return what trains the hand with the best layout."""
-    given, wait = result.pool.flags, result.judge.wait(result.best)
-    values = {
-        "scene": given.scene[0],
-        "env": given.env,
-        "simulator": given.simulator,
-        "layout": str(path),
-        "sensor": given.sensor,
-        "start-closing": "" if wait is None else f"{wait:g}",
-    }
-    words = [f" --{key} {pasted(value)}" for key, value in values.items() if value]
-    return f"    tactilerl train{''.join(words)}"
 
 
 def show(result: Design) -> None:

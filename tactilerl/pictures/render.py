@@ -12,7 +12,7 @@ import numpy as np
 
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import Hand, ScriptedGrasp
+from ..envs.hands import Hand
 from ..envs.simulators import Camera, Simulator
 from ..envs.state import Array
 from ..errors import InputError, extra
@@ -29,8 +29,8 @@ END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 ABOVE_GROUND = 0.01  # m, where a camera stays: through the ground all is grey
 CLOSES = 4  # actions before the giver lets go at which a hand closes, and as many after
 FARTHER = 1.2  # than the distance of pictures: a hand is not cut while it opens
-SIDE, LINES, LETTERS = 480, 88, (40, 26)
-"""Pixels of a film: height of the scene, of the lines above it, and of their letters."""
+SIDE, LINE, LETTERS = 480, 48, 26
+"""Pixels of a film: height of the scene, of the line above it, and of its letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
 MAX_REACHES = (
     0.6  # reaches of the hand that an object may be from the palm to be looked at
@@ -38,17 +38,11 @@ MAX_REACHES = (
 
 
 def picture(
-    env_name: str,
-    config: GraspConfig,
-    pose: Pose,
-    camera: Camera,
-    out: Path,
-    grasp: ScriptedGrasp | None = None,
+    env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path
 ) -> int:
     """Write a picture of the start or of a scripted grasp; return how many taxels fire in it.
 
-    Beside it is the hand unrolled. `grasp` is played instead of the hand's own. In a handover the hand
-    closes around what its giver holds.
+    Beside it is the hand unrolled. In a handover the hand closes around what its giver holds.
     """
     _require("--out", out, PICTURES)
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
@@ -56,8 +50,8 @@ def picture(
         if pose == "grasp" and env.task.giver is not None:
             take(env)
         elif pose == "grasp":
-            grasp = grasp or scripted.grasp_for(env)
-            for _ in scripted.hold_steps(env, grasp, scripted.Offsets(), seconds=0.5):
+            grasp, start = scripted.grasp_for(env), scripted.Offsets()
+            for _ in scripted.hold_steps(env, grasp, start, seconds=0.5):
                 pass
         image = _Artist(env, camera).draw()
         with replacing(out) as file:
@@ -147,13 +141,30 @@ class _Player:
         timestep = self.env.config.timestep
         every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (every * timestep)
-        self._name, self._successes, self._number = run.name, 0, 0
-        self._artist, self._tick = _Artist(self.env, camera), tick
+        self._name, self._number, self._tick = run.name, 0, tick
+        self._artist = _Artist(self.env, camera)
         self._pictures: list[Array] = []
         filmed: Any = Filmed(self.env.simulator, every, self._show)
         self.env.simulator = filmed
 
     def film(self, number: int) -> tuple[list[Array], bool]:
+        """Return an episode's pictures, and whether it succeeds."""
+        self._number, self._pictures = number, []
+        success = self._play(number)
+        self._show(*(("success", GREEN) if success else ("failure", RED)))
+        return self._pictures + self._pictures[-1:] * END_PICTURES, success
+
+    def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
+        """Add a picture, with a line above it."""
+        image = self._artist.draw()
+        head = np.full((LINE, image.shape[1], 3), colour, np.uint8)
+        line = f"{self._name}, start {self._number}  {outcome}"
+        head = lettered(head, [(line, 14, LINE / 2)], LETTERS, "lm")
+        self._pictures.append(np.vstack([head, image]))
+        self._tick()
+
+
+def film(self, number: int) -> tuple[list[Array], bool]:
         """Return an episode's pictures, and whether it succeeds."""
         self._number, self._pictures = number, []
         success = self._play(number)

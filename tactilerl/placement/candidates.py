@@ -49,8 +49,6 @@ class DesignFlags:
     alike."""
     env: str = ""
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
-    simulator: str = ""
-    """Physics engine: mujoco or pybullet; default: the scene's."""
     sensor: str = ""
     """A sensor, by name or .toml file: its radius, threshold, delay and price. With several, each has a
     table of its own, on the same starts."""
@@ -136,9 +134,8 @@ class DesignFlags:
 def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
     """Return the hand and its scenes by name; ValueError where a design cannot be made in one."""
     env, configs = flags.env or scenes.load(flags.scene[0]).env, {}
-    simulator = {"simulator": flags.simulator} if flags.simulator else {}
     for name in flags.scene:
-        config = setup(env, **{**scenes.load(name).on(env), **simulator})
+        config = setup(env, **scenes.load(name).on(env))
         validation.validate(waiting(config, flags.waits[0]))
         if tasks.TASKS[config.task].giver is None:
             raise ValueError(
@@ -218,9 +215,9 @@ def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
     points = tuple(point for taxels in sets for point in taxels.points)
     surfaces = np.concatenate([taxels.surfaces for taxels in sets])
     offsets = np.concatenate([taxels.offsets for taxels in sets])
-    indices = iter(range(len(points)))
-    parts = [[next(indices) for _ in taxels.points] for taxels in sets]
-    return Taxels(points, surfaces, offsets), parts
+    ends = np.cumsum([len(taxels) for taxels in sets])
+    parts = np.split(np.arange(len(points)), ends[:-1])
+    return Taxels(points, surfaces, offsets), [part.tolist() for part in parts]
 
 
 def overlap(hand: Hand, taxels: Taxels) -> Array:

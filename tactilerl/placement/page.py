@@ -55,8 +55,7 @@ def _data(design: Design) -> dict[str, Any]:
         "title": f"{hand_name} in {NAMES.get(simulator, simulator)}: "
         + ", ".join(pool.scenes),
         "panels": [
-            [left, high, right - left, high - low]
-            for left, low, right, high in (panel.box for panel in drawn.panels)
+            {"x": panel.x, "y": panel.y, "box": panel.box} for panel in drawn.panels
         ],
         "labels": drawn.labels,
         "letters": LETTERS,
