@@ -164,28 +164,6 @@ class _Player:
         self._tick()
 
 
-def film(self, number: int) -> tuple[list[Array], bool]:
-        """Return an episode's pictures, and whether it succeeds."""
-        self._number, self._pictures = number, []
-        success = self._play(number)
-        self._successes += success
-        self._show(*((": success", GREEN) if success else (": failure", RED)))
-        return self._pictures + self._pictures[-1:] * END_PICTURES, success
-
-    def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
-        """Add a picture, with two lines above it."""
-        image = self._artist.draw()
-        lines = (
-            f"{self._name}{outcome}",
-            f"start {self._number}, successes so far: {self._successes}",
-        )
-        head = np.full((LINES, image.shape[1], 3), colour, np.uint8)
-        for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):
-            head = lettered(head, [(text, 14, y)], size, "ls")
-        self._pictures.append(np.vstack([head, image]))
-        self._tick()
-
-
 def film(
     runs: Sequence[Path],
     numbers: Sequence[int],
