@@ -214,16 +214,12 @@ class Design:
         """Return it as JSON has it."""
         pool, names = self.pool, validation.names(DesignFlags) - {"workers"}
         return {
-            "about": "taxels placed by tactilerl",
             "env": pool.env,
-            "simulator": next(iter(pool.scenes.values())).simulator,
             "sensor": pool.sensor.name,
             "threshold": pool.sensor.threshold,
             "asking": {name: getattr(pool.flags, name) for name in sorted(names)},
             "candidates": int(pool.free.sum()),
-            "early": pool.early,
             "rows": [asdict(row) for row in self.rows],
-            "blind_hand": self.blind_hand,
             "verdict": " ".join(self.sentences()),
             "places": {
                 f"{key:g}": [

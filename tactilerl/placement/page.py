@@ -31,7 +31,7 @@ def page(design: Design) -> bytes:
 def _data(design: Design) -> dict[str, Any]:
     """Return what the page has to know, which design.html reads."""
     pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin
-    drawn, simulator = Unrolled(hand), design.as_dict()["simulator"]
+    drawn, simulator = Unrolled(hand), next(iter(pool.scenes.values())).simulator
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
     candidates = pool.whole
     words, dots = places.described(taxels, hand), []
