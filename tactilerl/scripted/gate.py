@@ -153,8 +153,8 @@ def few(starts: int) -> list[str]:
     """Return a sentence for a verdict from so few starts that it may be chance."""
     if starts >= ENOUGH:
         return []
-    told = f"too few to tell a difference of {MIN_GAIN}"
-    return [f"Only {starts} starts were judged, {told}: play {ENOUGH} or more."]
+    told = f"they cannot tell a difference of {MIN_GAIN}"
+    return [f"Few starts were judged ({starts}): {told}; play {ENOUGH} or more."]
 
 
 def compare(

@@ -54,7 +54,7 @@ def test_env_and_gate_take_a_sensor(capsys):
     gate = ["gate", "--scene", "handover", "--starts", "1", "--search", "1", "--workers", "1", "--json"]
     told = json.loads(printed(capsys, [*gate, "--sensor", "switch"]))
     assert {row["taxel_threshold"] for row in told["reflexes"]} == {0.98}
-    assert "Only 1 starts were judged" in told["verdict"]
+    assert "Few starts were judged (1)" in told["verdict"]
     for command in (["env"], gate, TRAIN):
         fails_with(capsys, [*command, "--sensor", "fsr9"], "found 'fsr9', did you mean fsr? allowed")
     fails_with(capsys, ["env", "--sensor", "no.toml"], "sensor file 'no.toml' does not exist")

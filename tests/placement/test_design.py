@@ -177,7 +177,7 @@ class TestSizes:
         apart = np.linalg.norm(taxels.positions[a] - taxels.positions[b], axis=1)
         assert 5.99e-3 <= apart.min() < 8e-3
         is_next = taxels.link_index[:, None] != taxels.link_index
-        assert (overlapping & is_next).any() == (name == "shadow")  # whose links meet
+        assert (overlapping & is_next).any()
 
     def test_a_margin_to_the_edge(self):
         hand = hands.get("mpl")
@@ -321,7 +321,7 @@ def test_success_after_the_worst_loss_has_no_bias_and_its_interval_holds():
     assert np.mean(covered) == pytest.approx(0.95, abs=0.02)
 
 
-@pytest.mark.parametrize(("n", "few"), [(4, "Only 4 starts were judged, too few to tell"), (40, "")])
+@pytest.mark.parametrize(("n", "few"), [(4, "Few starts were judged (4): they cannot tell"), (40, "")])
 def test_a_set_that_was_chosen_by_chance_loses_in_other_starts(n, few):
     first, second = starts_of([[5, NEVER]] * 4), starts_of([[NEVER, 5]] * 4)
     flags = DesignFlags(scene=("handover",), taxels="1", survives="digit", test_starts=n)
@@ -336,7 +336,7 @@ def test_a_set_that_was_chosen_by_chance_loses_in_other_starts(n, few):
         "without touch (timed, as the gate finds it) in 0.50."
     )
     assert few in said
-    assert ("Only" in said) == bool(few)
+    assert ("Few" in said) == bool(few)
 
 
 @pytest.mark.usefixtures("in_tmp", "few_reflexes")
@@ -363,7 +363,7 @@ class TestCommand:
         assert rows["whole skin", result["candidates"]]["success"] == 1.0
         assert rows["chosen", 2]["success"] >= 0.5 > rows["random", 2]["success"]
         assert result["verdict"] in " ".join(said.split())
-        assert "Only 4 starts were judged" in result["verdict"]
+        assert "Few starts were judged (4)" in result["verdict"]
         assert max(map(len, said.partition("Touch")[0].splitlines())) <= 80
         assert "worst loss" not in said
         assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "1",

@@ -37,9 +37,9 @@ def test_what_touch_can_win_of_what_there_is(timed, joints, touch, sighted, word
     rates = dict(timed=timed, joints=joints, touch=touch, sighted=sighted)
     said = " ".join(gate.sentences(setup("mpl", task="handover"), found(**rates)))
     assert all(word in said for word in words)
-    assert "Only" not in said
+    assert "Few" not in said
     said = gate.sentences(setup("mpl", task="handover"), found(n=3, **rates))
-    assert "Only 3 starts were judged, too few to tell a difference of 0.3: play 40 or more." in said
+    assert "Few starts were judged (3): they cannot tell a difference of 0.3; play 40 or more." in said
 
 
 def test_another_seed_has_other_starts_and_every_episode_is_counted(monkeypatch):
