@@ -206,11 +206,12 @@ def sentences(scene: GraspConfig, results: Sequence[HandResult]) -> list[str]:
             *few(blind.episodes),
         ]
     for one in touching:
-        which_one = f" ({which(one, results)})".replace(" ()", "")
+        told = which(one, results)
+        where = f" ({told})" if told else ""
         gained = min(max(0.0, one.rate - blind.rate), room)
         verdict = "pays" if pays(one.rate, blind.rate) else "does not pay"
         said.append(
-            f"Touch {verdict}{which_one}: it closes {gained:.2f} of the "
+            f"Touch {verdict}{where}: it closes {gained:.2f} of the "
             f"{room:.2f} gap between the best scripted hand without touch ({blind.name}, "
             f"{blind.rate:.2f}) and the sighted one ({sighted:.2f})."
         )
