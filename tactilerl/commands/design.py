@@ -75,7 +75,7 @@ def main(args: list[str]) -> int:
                 sensed = replace(scene, sensor=name or "", taxel_threshold=threshold)
                 notes += sensor_notes(pool.env, sensed)
         warn(notes)
-        total, workers = sum(map(n_played, asked)), read.workers or free_cores()
+        total, workers = sum(map(n_played, pools)), read.workers or free_cores()
         what = f"playing about {total} episodes"
         with progress(what, total, not read.json, is_long=True) as tick:
             results = [design(pool, workers, tick) for pool in pools]
@@ -159,9 +159,7 @@ def _table(result: Design) -> Table:
     columns = ["taxels", *["price"] * bool(prices), "which", "success", "felt"]
     if given.survives:
         columns.append(f"after the worst loss ({layouts.short(given.survives)})")
-    if given.start_closing:
-        columns.append("waits at")
-    table = _wrapping(*columns)
+    table = _wrapping(*columns, "waits at")
     table.title = result.at.strip() or None
     for row in result.rows:
         name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")

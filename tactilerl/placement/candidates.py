@@ -80,8 +80,8 @@ class DesignFlags:
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """How far the hand is closed while it waits, from open (0) to closed (1); default: the scene's.
-    With several, each set of taxels uses its best."""
+    """How far the hand is closed while it waits, from open (0) to closed (1); default: as in the first
+    scene. With several, each set of taxels uses its best."""
     beside: tuple[str, ...] = tuple("123456")
     """Layouts to compare with."""
     starts: Annotated[int, "[1, 250000]"] = 200
@@ -108,11 +108,6 @@ class DesignFlags:
         return Kind(file.get("name"), radius, threshold, delay, file.get("cost"))
 
     @property
-    def waits(self) -> tuple[float | None, ...]:
-        """Ways to wait: shares by which the hand is closed; None for as each scene has it."""
-        return self.start_closing or (None,)
-
-    @property
     def numbers(self) -> range:
         """Numbers of taxels; ValueError where that is no range."""
         asked = self.taxels or ("4" if self.budget is None else "1..12")
@@ -136,7 +131,8 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
     env, configs = flags.env or scenes.load(flags.scene[0]).env, {}
     for name in flags.scene:
         config = setup(env, **scenes.load(name).on(env))
-        validation.validate(waiting(config, flags.waits[0]))
+        for wait in flags.start_closing or [config.start_closing]:
+            validation.validate(replace(config, start_closing=wait))
         if tasks.TASKS[config.task].giver is None:
             raise ValueError(
                 f"scene: found {name}, whose object lies on the ground, allowed handovers; "
@@ -149,11 +145,6 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
             )
         configs[name] = config
     return env, configs
-
-
-def waiting(scene: GraspConfig, wait: float | None) -> GraspConfig:
-    """Return a scene with a hand that is so far closed while it waits; None for as it is."""
-    return scene if wait is None else replace(scene, start_closing=wait)
 
 
 def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
@@ -376,6 +367,12 @@ class Pool:
             allowed = f"up to the {free.sum()} that may be chosen"
             raise ValueError(f"taxels: found {most}, allowed {allowed}")
         return pool
+
+    @property
+    def waits(self) -> tuple[float, ...]:
+        """Ways to wait: shares by which the hand is closed."""
+        first = next(iter(self.scenes.values()))
+        return self.flags.start_closing or (first.start_closing,)
 
     @property
     def whole(self) -> list[int]:

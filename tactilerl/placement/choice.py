@@ -16,7 +16,7 @@ from ..envs.layouts import Layout
 from ..pictures import places
 from ..scripted import gate
 from . import cover
-from .candidates import DesignFlags, Pool, waiting
+from .candidates import DesignFlags, Pool
 from .cover import Starts
 from .prices import knee
 from .recording import record
@@ -25,8 +25,8 @@ CHOICE, TEST = 500_000, 750_000
 """Seeds of starts to choose from, and to judge on; those of the gate are others."""
 RANDOM_SETS = 20
 N_RESAMPLES = 10_000
-ByWait = dict[float | None, Starts]
-"""Starts by how far the hand is closed while it waits; None for as the scene has it."""
+ByWait = dict[float, Starts]
+"""Starts by how far the hand is closed while it waits."""
 Tick = Callable[..., None]
 START = 3  # episodes that take as long as a recorded start
 
@@ -51,7 +51,7 @@ class Row:
     lost: str | None = None
     """Name of that loss; None where no loss costs anything, and for random sets."""
     start_closing: float | None = None
-    """Share by which the hand is closed while it waits; None for as the scene has it."""
+    """Share by which the hand is closed while it waits; None for random sets."""
     price: float | None = None
     """Price of the chosen taxels and their boards."""
     is_knee: bool = False
@@ -89,7 +89,7 @@ class Judge:
     test: ByWait
     """Other starts, on which everything is judged."""
 
-    def wait(self, taxels: Sequence[int]) -> float | None:
+    def wait(self, taxels: Sequence[int]) -> float:
         """Return how far a hand with these taxels is closed while it waits."""
         members = self.pool.losses.members
         losses = members if self.pool.flags.survives else members[:0]
@@ -262,15 +262,13 @@ def design(pool: Pool, workers: int, tick: Tick = lambda *_: None) -> Design:
     wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.whole))
     searched, _ = gate.numbers(flags.seed, 0, _search(flags))
     compared = _numbers(flags, TEST, flags.test_starts)
-    scenes = tuple(waiting(scene, wait) for scene in pool.scenes.values())
+    scenes = tuple(_waiting(pool, wait))
     blind, blind_hand = _blind(pool.env, scenes, searched, compared, workers, tick)
     test = _played(pool, TEST, flags.test_starts, workers, tick)
     return judged(Judge(pool, choice, test), blind, blind_hand, wait)
 
 
-def judged(
-    judge: Judge, blind: float, blind_hand: str, wait: float | None = None
-) -> Design:
+def judged(judge: Judge, blind: float, blind_hand: str, wait: float) -> Design:
     """Return what is chosen from played starts, beside what it is compared with.
 
     The best hand without touch is `wait` closed while it waits, and has the success `blind`.
@@ -295,9 +293,10 @@ def judged(
     return Design(judge, {pick.key: pick.taxels for pick in picks}, rows, blind_hand)
 
 
-def n_played(flags: DesignFlags) -> int:
+def n_played(pool: Pool) -> int:
     """Return the number of episodes that a design plays, more or less."""
-    n_starts = len(flags.waits) * (flags.starts + flags.test_starts)
+    flags = pool.flags
+    n_starts = len(pool.waits) * (flags.starts + flags.test_starts)
     n_senses = len(gate.BLIND) - 1  # for most scenes let nobody see
     n_blind = n_senses * gate.n_played(flags.test_starts, _search(flags))
     return len(flags.scene) * (START * n_starts + n_blind)
@@ -340,15 +339,18 @@ def _numbers(flags: DesignFlags, first: int, n: int) -> range:
 
 def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
     """Play `n` starts of each scene with the whole skin, for each way to wait."""
-    flags, numbers = pool.flags, _numbers(pool.flags, first, n)
-    played: ByWait = {}
-    for wait in flags.waits:
-        scenes = [waiting(scene, wait) for scene in pool.scenes.values()]
-        delay, ticks = pool.sensor.delay, partial(tick, START)
+    numbers, played = _numbers(pool.flags, first, n), ByWait()
+    for wait in pool.waits:
+        scenes, delay = _waiting(pool, wait), pool.sensor.delay
         played[wait] = record(
-            pool.env, scenes, pool.skin, delay, numbers, workers, ticks
+            pool.env, scenes, pool.skin, delay, numbers, workers, partial(tick, START)
         )
     return played
+
+
+def _waiting(pool: Pool, wait: float) -> list[GraspConfig]:
+    """Return the scenes with a hand that is so far closed while it waits."""
+    return [replace(scene, start_closing=wait) for scene in pool.scenes.values()]
 
 
 def _picks(choice: ByWait, pool: Pool) -> list[Pick]:

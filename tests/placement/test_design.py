@@ -294,7 +294,7 @@ def judge_of(choice_starts, test_starts, losses, **changes):
     """A judge of starts with these losses, bool (g, m), in a pool with some fields of its own."""
     names = tuple(map(str, range(len(losses))))
     pool = dataclasses.replace(a_pool(), losses=Groups(names, losses), **changes)
-    return choice.Judge(pool, {None: choice_starts}, {None: test_starts})
+    return choice.Judge(pool, {0.2: choice_starts}, {0.2: test_starts})
 
 
 def test_starts_are_resampled_within_their_scenes():
@@ -326,7 +326,9 @@ def test_a_set_that_was_chosen_by_chance_loses_in_other_starts(n, few):
     first, second = starts_of([[5, NEVER]] * 4), starts_of([[NEVER, 5]] * 4)
     flags = DesignFlags(scene=("handover",), taxels="1", survives="digit", test_starts=n)
     changes = {"flags": flags, "free": np.ones(2, bool), "references": {"2": [1]}}
-    design = choice.judged(judge_of(first, second, np.zeros((1, 2), bool), **changes), 0.5, "timed")
+    design = choice.judged(
+        judge_of(first, second, np.zeros((1, 2), bool), **changes), 0.5, "timed", 0.2
+    )
     assert design.chosen == {1: [0]}
     rows = {row.layout: row for row in design.rows}
     assert [rows[name].success for name in ("no touch", "2", "chosen")] == [0.5, 1.0, 0.0]
