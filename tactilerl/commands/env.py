@@ -6,7 +6,9 @@ import json
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+import gymnasium as gym
 
 from ..envs import scenes, sensors, tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
@@ -80,14 +82,14 @@ def main(args: list[str]) -> int:
 
 def _content(name: str, env: GraspEnv) -> dict[str, Any]:
     """Return what there is to say about an environment, as JSON has it."""
-    scene = env.config
+    scene, spaces = env.config, cast(gym.spaces.Dict, env.observation_space)
     length = f"up to {env.max_episode_steps} actions of {scene.control_dt:g} s"
     return {
         "env": name,
         "task": f"{scene.task} in {scene.simulator}, {length}",
         "action_space": f"Box{env.action_space.shape}",
         "observation_space": ", ".join(
-            f"{key} {part.shape}" for key, part in env.observation_space.items()
+            f"{key} {part.shape}" for key, part in spaces.items()
         ),
         "taxels": len(env.taxels),
         **_sensor(scene),

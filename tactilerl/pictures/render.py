@@ -59,7 +59,7 @@ def picture(
         return int((env.taxel_readings() > 0).sum())
 
 
-def take(env: GraspEnv) -> None:
+def take(env: Any) -> None:
     """Have the hand of a handover that has just been reset close around the object."""
     [opened], [closed] = reflexes.parts(env, 1.0, np.zeros(2))
     let_go = env.task.sets_off + env.task.stays

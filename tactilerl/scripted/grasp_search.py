@@ -88,7 +88,8 @@ def find(
         def test(figures: Array, starts: range) -> Candidate:
             tick()
             held = played_in.play(partial(_hold, grasp_of(figures)), starts)
-            return Candidate(*np.mean(list(held), axis=0).tolist(), figures)
+            goodness, share = np.mean(list(held), axis=0).tolist()
+            return Candidate(goodness, share, figures)
 
         searches = []
         for attempt, ground in enumerate(GROUNDS):
