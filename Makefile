@@ -99,7 +99,7 @@ TO_GIF := fps=25/3,scale=iw*2/3:-1:flags=area,split[a][b];[a]palettegen[p];[b][p
 film: $(DEVELOPMENT)
 	mkdir -p build
 	$(BIN)/tactilerl render examples/policies/handover_touch examples/policies/handover_no_touch \
-		--hold-seconds 0.5 --azimuth 160 --elevation -10 --video build/film.mp4 --overwrite
+		--azimuth 160 --elevation -10 --video build/film.mp4 --overwrite
 	ffmpeg -v error -y -i build/film.mp4 -vf "$(TO_GIF)" docs/images/handover.gif
 
 figures: $(DEVELOPMENT)

@@ -19,7 +19,6 @@ from tactilerl.envs.simulators import Camera
 from tactilerl.files import replacing
 from tactilerl.pictures import render
 from tactilerl.pictures.hand_map import TaxelMap, save_picture
-from tactilerl.scripted import reflexes
 from tactilerl.study.analysis import analyse
 from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, STYLE
@@ -29,7 +28,6 @@ from benchmarks.studies import layouts_study, setups_study, study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DATA / "chosen/anywhere_4.toml")
 GRASPS = [("shadow", "mujoco"), ("mpl", "mujoco"), ("mpl", "pybullet"), ("allegro", "mujoco")]
-CLOSES = 4  # actions before the object is let go, and after, in which a hand closes around it
 # Collected study: its set-ups whose curves are drawn, and the pictures.
 STUDIES = {
     "learners": {"ppo": "learning_shadow_ppo"},
@@ -75,9 +73,7 @@ def handover(name: str) -> None:
     config = setup(named.env, **named.on(named.env))
     with closing(GraspEnv(named.env, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
-        [opened], [closed] = reflexes.parts(env, 1.0, np.zeros(2))
-        for step in range(env.task.sets_off + env.task.stays + CLOSES):
-            env.step_to(opened if step < env.task.sets_off + env.task.stays - CLOSES else closed)
+        render.take(env)
         state = env.simulator.state()
         middle = (state.palm + state.object_position) / 2
         picture = env.picture(Camera(azimuth=0.0, elevation=-8.0, lookat=tuple(middle.tolist())))

@@ -204,13 +204,12 @@ def design(
     ValueError, in one line, for an invalid flag, and for scenes in which nothing is handed over.
     """
     from .placement import choice
-    from .placement.candidates import DesignFlags
+    from .placement.candidates import DesignFlags, Pool
 
     require_known(flags, validation.names(DesignFlags))
     chosen = {**flags, "taxels": str(taxels), "workers": workers}
     read = validation.replace(DesignFlags(), chosen)
-    read.validate()
-    result = choice.design(read, workers or free_cores())
+    result = choice.design(Pool.of(read), workers or free_cores())
     return result.layout(max(result.chosen))
 
 

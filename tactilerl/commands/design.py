@@ -12,12 +12,12 @@ from rich.table import Column, Table
 
 from ..envs import layouts
 from ..errors import InputError, input_errors
-from ..files import pasted
+from ..files import as_json, replacing, require_new
 from ..machine import free_cores
 from ..pictures import places
-from ..placement import files
-from ..placement.candidates import DesignFlags, scenes_of
-from ..placement.choice import Design, Row, Use, design, n_played
+from ..placement.candidates import DesignFlags, Pool
+from ..placement.choice import Design, design, difference, n_played
+from ..placement.page import page
 from ..terminal import flags
 from ..terminal.console import console, progress
 from .scene import sensor_notes, warn
@@ -47,90 +47,101 @@ class Flags(DesignFlags):
     leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
     """Not on these segments or digits, named likewise."""
     out: Path | None = None
-    """FILE.toml for one layout and its drawing, or a folder for all of them, a page and JSON."""
+    """FILE.toml for the largest layout, or a folder for all of them, a page and JSON."""
     overwrite: bool = False
     """Replace files of --out that are there."""
     json: bool = False
-    """Print JSON instead of a table."""
+    """Print JSON instead of tables, a line for each."""
 
 
 def main(args: list[str]) -> int:
     """Run `tactilerl design --scene handover --taxels 1`."""
+    sensors, args = flags.several(args, "--sensor")
+    thresholds, args = flags.several(args, "--taxel-threshold", float)
     read = flags.parse(Flags, args, "tactilerl design", ABOUT)
+    asked = [
+        replace(read, sensor=sensor, taxel_threshold=threshold)
+        for sensor in sensors or [read.sensor]
+        for threshold in thresholds or [read.taxel_threshold]
+    ]
     with input_errors():
-        read.validate()
         if read.out is not None:
-            for flag in ("sensor", "taxel_threshold"):
-                if (n := len(getattr(read, flag))) > 1:
-                    raise InputError(
-                        f"--out: found with {n} of --{flag.replace('_', '-')}, allowed with one: each "
-                        "has layouts of its own"
-                    )
-            is_one = read.budget is not None or len(read.numbers) == 1
-            files.require(read.out, is_one, read.overwrite)
-        env, configs = scenes_of(read)
-        warn(
-            [
-                note
-                for scene in configs.values()
-                for kind in read.kinds(scene)
-                for note in sensor_notes(
-                    env,
-                    replace(
-                        scene, sensor=kind.name or "", taxel_threshold=kind.threshold
-                    ),
-                )
-            ]
-        )
-        total = n_played(read)
+            require_out(read.out, len(asked), read.overwrite)
+        pools = [Pool.of(one) for one in asked]
+        notes = []
+        for pool in pools:
+            name, _, threshold, *_ = pool.sensor
+            for scene in pool.scenes.values():
+                sensed = replace(scene, sensor=name or "", taxel_threshold=threshold)
+                notes += sensor_notes(pool.env, sensed)
+        warn(notes)
+        total, workers = sum(map(n_played, pools)), read.workers or free_cores()
         what = f"playing about {total} episodes"
         with progress(what, total, not read.json, is_long=True) as tick:
-            result = design(read, read.workers or free_cores(), tick)
-        written = {} if read.out is None else files.write(result, read.out)
+            results = [design(pool, workers, tick) for pool in pools]
+        written = [] if read.out is None else write(results[0], read.out)
     if read.json:
-        print(json.dumps(result.as_dict()))
+        for result in results:
+            print(json.dumps(result.as_dict()))
         return 0
-    _print(result)
-    chosen = [row for row in result.rows if row.layout == "chosen"]
-    rows = dict(zip(result.chosen, chosen, strict=False))
-    for path, key in written.items():
-        hint = "" if key is None else _hint(result, path, rows[key])
-        console.print(f"{path}{hint}")
+    for result in results:
+        show(result)
+    for other in results[1:] if len(sensors) > 1 else ():
+        console.print(
+            "Best set{}, success less that{} in the same starts: {:+.2f} ({:+.2f} to "
+            "{:+.2f}).".format(other.at, results[0].at, *difference(other, results[0]))
+        )
+    for path in written:
+        console.print(str(path))
     return 0
 
 
-def _hint(result: Design, path: Path, row: Row) -> str:
-    """Return what trains the hand with the layout."""
-    given, waits = result.pool.flags, row.start_closing
-    values = {
-        "scene": given.scene[0],
-        "env": given.env,
-        "simulator": given.simulator,
-        "layout": str(path),
-        "sensor": "".join(given.sensor),
-        "start-closing": "" if waits is None else f"{waits:g}",
-    }
-    words = [f" --{key} {pasted(value)}" for key, value in values.items() if value]
-    return f"    tactilerl train{''.join(words)}"
+def require_out(out: Path, n: int, overwrite: bool) -> None:
+    """Raise InputError where `n` designs cannot be written to `out`, before minutes of playing."""
+    if n > 1:
+        raise InputError(
+            f"--out: found with {n} sensors or thresholds, allowed with one: each has its own layouts"
+        )
+    if out.suffix not in ("", ".toml"):
+        raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
+    if out.suffix and not out.parent.is_dir():
+        raise InputError(f"--out: found no folder {str(out.parent)!r}")
+    require_new(out, overwrite)
 
 
-def _print(result: Design) -> None:
-    """Print the tables, and how far they can be trusted."""
-    pool = result.pool
-    flags_given, names = pool.flags, ", ".join(pool.scenes)
+def write(result: Design, out: Path) -> list[Path]:
+    """Write the largest layout to a file, or to a folder all, a page and JSON; return the files."""
+    contents = {out: result.layout(max(result.chosen)).toml().encode()}
+    if out.suffix != ".toml":
+        out.mkdir(parents=True, exist_ok=True)
+        contents = {
+            out / f"design_{key:g}.toml": result.layout(key).toml().encode()
+            for key in result.chosen
+        }
+        contents[out / "design.html"] = page(result)
+        contents[out / "design.json"] = as_json(result.as_dict())
+    for path, content in contents.items():
+        with replacing(path) as file:
+            file.write(content)
+    return list(contents)
+
+
+def show(result: Design) -> None:
+    """Print the tables of a design, and how far they can be trusted."""
+    pool, given = result.pool, result.pool.flags
+    names = ", ".join(pool.scenes)
     console.print(f"{names}: taxels for a hand that closes at the first touch")
     console.print(
-        f"{len(pool.free)} candidates; chosen from {flags_given.starts} starts of "
-        f"each scene, judged on {flags_given.test_starts} others"
+        f"{pool.free.sum()} candidates; chosen from {given.starts} starts of "
+        f"each scene, judged on {given.test_starts} others"
     )
-    if flags_given.keep:
-        layout = f"layout {layouts.short(flags_given.keep)}"
+    if given.keep:
+        layout = f"layout {layouts.short(given.keep)}"
         console.print(f"chosen and random taxels are added to those of {layout}")
     if pool.early:
         early = ", ".join(pool.early)
         console.print(f"left out, since they fire before anything comes: {early}")
-    for use in result.uses:
-        console.print(_table(result, use))
+    console.print(_table(result))
     for sentence in result.sentences():
         console.print(sentence)
     console.print("Chosen sets are the best that a search found.")
@@ -142,39 +153,28 @@ def _wrapping(*headings: str) -> Table:
     return Table(*(Column(heading, overflow="fold") for heading in headings))
 
 
-def _table(result: Design, use: Use) -> Table:
-    """Return a line for each set with one sensor and threshold, and for no touch."""
-    given, rows = result.pool.flags, use.rows(result.rows)
-    priced = any(row.price is not None for row in rows)
-    table = _wrapping("taxels", *["price"] * priced, "which", "success", "felt")
-    table.title = use.at.strip() or None
+def _table(result: Design) -> Table:
+    """Return a line for each set, and for no touch."""
+    given, prices = result.pool.flags, result.pool.prices
+    columns = ["taxels", *["price"] * bool(prices), "which", "success", "felt"]
     if given.survives:
-        loss = layouts.short(given.survives)
-        table.add_column(f"after the worst loss ({loss})", overflow="fold")
-    if given.start_closing:
-        table.add_column("waits at")
-    if result.best is not None:
-        table.add_column(f"more than layout {layouts.short(result.best)}")
-    for row in rows:
-        table.add_row(*_cells(row, result, priced))
+        columns.append(f"after the worst loss ({layouts.short(given.survives)})")
+    table = _wrapping(*columns, "waits at")
+    table.title = result.at.strip() or None
+    for row in result.rows:
+        name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")
+        cells = [str(row.taxels)]
+        if prices:
+            cells.append("" if row.price is None else f"{row.price:g}")
+        cells += [name + ", knee" * row.is_knee]
+        cells += [_rate(row.success, row.success_interval), f"{row.felt:.2f}"]
+        if given.survives:
+            without = "" if row.lost is None else f" without {row.lost}"
+            cells.append(_rate(row.worst, row.worst_interval) + without)
+        if row.start_closing is not None:
+            cells.append(f"{row.start_closing:g}")
+        table.add_row(*cells)
     return table
-
-
-def _cells(row: Row, result: Design, priced: bool) -> list[str]:
-    """Return a line of the table."""
-    name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")
-    success = _rate(row.success, row.success_interval)
-    name += ", knee" * row.is_knee
-    price = "" if row.price is None else f"{row.price:g}"
-    cells = [str(row.taxels), *[price] * priced, name, success, f"{row.felt:.2f}"]
-    if result.pool.flags.survives:
-        worst = _rate(row.worst, row.worst_interval)
-        cells.append(worst if row.lost is None else f"{worst} without {row.lost}")
-    if result.pool.flags.start_closing:
-        cells.append("" if row.start_closing is None else f"{row.start_closing:g}")
-    if row.difference:
-        cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row.difference))
-    return cells
 
 
 def _rate(rate: float, interval: tuple[float, float] | None) -> str:
@@ -187,9 +187,8 @@ def _rate(rate: float, interval: tuple[float, float] | None) -> str:
 def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in words and in the frames of the links."""
     table = _wrapping("", "taxel", "link", "place, mm", "radius")
-    pool = result.pool
-    taxels = pool.skin.take(result.chosen[max(result.chosen)])
-    words = places.described(taxels, pool.hand)
+    taxels = result.pool.skin.take(result.best)
+    words = places.described(taxels, result.pool.hand)
     for number, (point, where) in enumerate(zip(taxels.points, words, strict=True), 1):
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
         table.add_row(str(number), where, point.link, place, f"{1e3 * point.radius:g}")

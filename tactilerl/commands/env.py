@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 
-from ..envs import scenes, sensors, tasks, touch, vector
+from ..envs import scenes, sensors, tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..errors import input_errors
 from ..runs.still import note_of_standing_still
@@ -82,13 +82,15 @@ def main(args: list[str]) -> int:
 
 def _content(name: str, env: GraspEnv) -> dict[str, Any]:
     """Return what there is to say about an environment, as JSON has it."""
-    scene = env.config
+    scene, spaces = env.config, cast(gym.spaces.Dict, env.observation_space)
     length = f"up to {env.max_episode_steps} actions of {scene.control_dt:g} s"
     return {
         "env": name,
         "task": f"{scene.task} in {scene.simulator}, {length}",
-        "action_space": _short(env.action_space),
-        "observation_space": _short(env.observation_space),
+        "action_space": f"Box{env.action_space.shape}",
+        "observation_space": ", ".join(
+            f"{key} {part.shape}" for key, part in spaces.items()
+        ),
         "taxels": len(env.taxels),
         **_sensor(scene),
         "notes": layout_notes(name, scene.layout) + sensor_notes(name, scene),
@@ -98,23 +100,16 @@ def _content(name: str, env: GraspEnv) -> dict[str, Any]:
 
 
 def _sensor(scene: GraspConfig) -> dict[str, str]:
-    """Return what a sensor does here, where there is one."""
+    """Return the numbers that a sensor brings, by the names of their flags, where there is one."""
     if not scene.sensor or scene.touch != "on":
         return {}
-    threshold, release = scene.taxel_threshold, scene.taxel_release
-    if threshold and release is None:
-        release = round(touch.RELEASE * threshold, 6)
-    file = vars(sensors.load(scene.sensor))
-    known = {name for name, value in file.items() if value is not None}
-    idle = (name.removeprefix("taxel_") for name in scene.idle())
-    unused = ", ".join(name for name in idle if name in known) or "nothing"
-    return {
-        "sensor": f"{scene.sensor}; radius {scene.taxel_radius} m, threshold {threshold} N, release "
-        f"{release} N, delay {scene.taxel_delay} control steps; unused by touch rule "
-        f"{scene.touch_rule}: {unused}".replace("None m", "unknown").replace(
-            "None N", "unknown"
-        )
-    }
+    numbers = [
+        f"{field.name} {getattr(scene, field.name)}"
+        for field in fields(scene)
+        if field.name.startswith("taxel_")
+        and getattr(scene, field.name) != field.default
+    ]
+    return {"sensor": ", ".join([scene.sensor, *numbers])}
 
 
 def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) -> None:
@@ -134,14 +129,3 @@ def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) 
             f"taxel in {100 * check.share_any:.0f} % of the time"
         )
         print(f"never fired: {', '.join(check.silent()) or 'none'}")
-
-
-def _short(space: gym.Space[Any]) -> str:
-    """Return one line; bounds that are infinite, or differ between entries, are left out."""
-    if isinstance(space, gym.spaces.Dict):
-        parts = (f"{key}: {_short(part)}" for key, part in space.spaces.items())
-        return f"Dict({', '.join(parts)})"
-    text = str(space)
-    return (
-        f"{type(space).__name__}{space.shape}" if "[" in text or "inf" in text else text
-    )

@@ -50,20 +50,17 @@ class GateFlags:
 def main(args: list[str]) -> int:
     """Run `tactilerl gate --scene handover`."""
     layout_names, args = flags.several(args, "--layout")
-    thresholds, args = flags.several(args, "--taxel-threshold")
+    thresholds, args = flags.several(args, "--taxel-threshold", float)
     read, scene = read_scene(
         GateFlags, args, "tactilerl gate", ABOUT, hold_verdict="settled"
     )
     with input_errors():
         if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate compares with no touch")
-        forces: list[float | None] = [scene.taxel_threshold]
-        if thresholds:
-            forces = [*map(_newtons, thresholds)]
         variants = [
             dataclasses.replace(scene, layout=layout, taxel_threshold=force)
             for layout in layout_names or [scene.layout]
-            for force in forces
+            for force in thresholds or [scene.taxel_threshold]
         ]
         for variant in variants:
             validation.validate(variant)
@@ -75,39 +72,21 @@ def main(args: list[str]) -> int:
     what = f"playing scripted hands, {total} episodes"
     shown = progress(what, total, not read.json, is_long=True)
     with shown as tick, input_errors():
-        comparison = gate.compare(
+        results = gate.compare(
             read.env, variants, read.starts, read.search, read.seed,
             read.workers or free_cores(), tick,
         )  # fmt: skip
+    said = gate.sentences(scene, results)
     if read.json:
-        print(json.dumps(comparison.as_dict()))
+        rows = [dataclasses.asdict(result) for result in results]
+        print(json.dumps({"reflexes": rows, "verdict": " ".join(said)}))
         return 0
-    console.print(_table(comparison))
-    for sentence in comparison.sentences():
+    table = Table("scripted hand", "switches when", "success", "95 % interval")
+    for result in results:
+        (low, high), (_, when) = result.interval, gate.SENSES[result.name]
+        name = ", ".join(filter(None, (result.name, gate.which(result, results))))
+        table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
+    console.print(table)
+    for sentence in said:
         console.print(sentence)
     return 0
-
-
-def _newtons(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"taxel_threshold: found {text!r}, allowed numbers") from None
-
-
-def _table(comparison: gate.Comparison) -> Table:
-    """Return a line for each scripted hand, in the order of their senses."""
-    table = Table("scripted hand", "switches when", "success", "95 % interval")
-    rows = []
-    for one in comparison.results:
-        if one.name == "touch":
-            for variant, result in comparison.with_touch:
-                label = comparison.label(variant)
-                rows.append((f"touch, {label}" if label else "touch", result))
-        else:
-            rows.append((one.name, one))
-    for name, result in rows:
-        low, high = result.interval
-        when = gate.SENSES[result.name][1]
-        table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
-    return table

@@ -8,7 +8,6 @@ from rich.console import Console
 
 from ..envs import hands
 from ..envs.grasp import GraspConfig
-from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera
 from ..errors import InputError
 from ..files import replacing, require_new
@@ -18,9 +17,6 @@ from ..scripted import grasp_search
 from ..terminal.console import beside, progress
 
 MIN_HELD_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
-CAMERA_DISTANCE = (
-    0.64  # m, of a camera that sees a hand of usual size over an object that fell
-)
 HEADER = (
     "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
 )
@@ -46,40 +42,29 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
     beside.print(f"kept in {target}")
 
 
-def find_grasp(
-    name: str, scene: GraspConfig, overwrite: bool = False
-) -> grasp_search.FoundGrasp | None:
-    """Search for a grasp and return the best, with how it went.
-
-    Return None where the best does not hold, and draw a picture of it.
-    """
+def find_grasp(name: str, scene: GraspConfig) -> grasp_search.FoundGrasp | None:
+    """Search for a grasp and return the best; None where it does not hold. Say how it went."""
     beside.print(f"{name} has no [[grasp]]: looking for one")
     with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
         best = grasp_search.find(name, scene, free_cores(), tick)
     up = f"{100 * best.share:.0f} % of the time"
     size = f"a {1e3 * best.grasp.object_size:g} mm object"
     if best.share >= MIN_HELD_SHARE:
-        digits = f"touched by {best.digits:.1f} digits"
-        beside.print(f"found one: it holds {size} {up}, {digits}")
+        beside.print(f"found one: it holds {size} {up}")
         return best
     beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
     beside.print("look at [opened] and [closed], or at the force of the servos")
-    path = Path(hands.file(name).with_suffix(".no_grasp.png").name)
-    what = "the best of them"
-    draw(beside, what, name, scene, "grasp", path, overwrite, best.grasp)
     return None
 
 
 def draw(
     screen: Console, what: str, name: str, scene: GraspConfig, pose: render.Pose, path: Path,
-    overwrite: bool, grasp: ScriptedGrasp | None = None,
+    overwrite: bool,
 ) -> None:  # fmt: skip
     """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
-    distance = Camera.distance if grasp is None else CAMERA_DISTANCE
     try:
         require_new(path, overwrite)
-        camera = Camera(azimuth=300.0, distance=distance)
-        render.picture(name, scene, pose, camera, path, grasp)
+        render.picture(name, scene, pose, Camera(azimuth=300.0), path)
         screen.print(f"{path}: {what}")
     except (ImportError, OSError, InputError) as error:
         screen.print(f"no picture: {error}")

@@ -68,7 +68,7 @@ def main(args: list[str]) -> int:
         for note in hand.notes:
             console.print(f"  note: {note}")
         scene = setup(name, layout="1")
-        grasp = find_grasp(name, scene, choices.overwrite)
+        grasp = find_grasp(name, scene)
         if grasp is not None:
             with out.open("a", encoding="utf-8") as file:
                 file.write(f"\n{grasp.toml()}\n")

@@ -6,18 +6,18 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from ..envs.grasp import GraspConfig, setup
+from ..envs import tasks
+from ..envs.grasp import setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..files import require_new
 from ..pictures import render
-from ..terminal import flags
 from ..terminal.console import console, progress
 from .grasps import require_grasp
 from .scene import layout_notes, read_scene
@@ -39,17 +39,16 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder whose policy plays in the run's own scene. Two runs are filmed side by side, from the
+    """Run folder whose policy plays in the run's own scene. Several are filmed side by side, from the
     same initial states. Without a run, a scripted grasp is drawn."""
     video: Path | None = None
     """File of the film; default: none where there is a display, which shows the run instead;
-    episodes.mp4 elsewhere, and of two runs."""
+    episodes.mp4 elsewhere, and of several runs."""
     episodes: Annotated[int, "[1, inf)"] = 3
-    """Number of episodes: the first ones that `evaluate` plays. Hold tests last 2 s unless
-    --hold-seconds is given."""
+    """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2 s."""
     episode: Annotated[int, "[0, inf)"] | None = None
-    """The one episode to show, by its number in `evaluate RUN --json`, as that plays it: with the whole
-    hold test unless --hold-seconds is given."""
+    """Only this episode, by its number in `evaluate RUN --json`, as that plays it: with the whole hold
+    test."""
     env: str = "shadow"
     """The hand in the picture."""
     out: Path = Path("grasp.png")
@@ -75,6 +74,11 @@ class RenderFlags:
         """The episodes to show, by their numbers."""
         return range(self.episodes) if self.episode is None else [self.episode]
 
+    @property
+    def hold_seconds(self) -> float | None:
+        """Length of hold tests, s; None for that of the run."""
+        return render.HOLD_SECONDS if self.episode is None else None
+
 
 def main(args: list[str]) -> int:
     """Run `tactilerl render` (a scripted grasp with its taxels) or `tactilerl render RUN` (a run)."""
@@ -83,25 +87,19 @@ def main(args: list[str]) -> int:
         if getattr(read, flag) != getattr(RenderFlags, flag):
             needed = "without" if read.run else "with"
             raise InputError(f"{flag}: allowed only {needed} a run folder")
-    if read.episode is not None and read.episodes != RenderFlags.episodes:
-        raise InputError("episode: found with episodes, allowed one of the two")
-    if len(read.run) > 2:
-        raise InputError(
-            f"render: found {len(read.run)} runs, allowed one, or two side by side"
-        )
     if read.run:
-        given = flags.peek(args, "hold-seconds", "hold_seconds")
-        hold_seconds = _hold_seconds(read, scene, bool(given["hold_seconds"]))
+        if scene != setup(read.env):
+            raise InputError("render RUN: found scene flags, but a run keeps its scene")
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
         if read.video is None and len(read.run) == 1 and has_screen:
-            _watch(read.run[0], read.numbers, hold_seconds)
+            _watch(read)
         else:
-            _film(read, hold_seconds)
+            _film(read)
         return 0
     require_new(read.out, read.overwrite)
     with input_errors():
         notes = layout_notes(read.env, scene.layout)
-        if read.pose == "grasp":
+        if read.pose == "grasp" and tasks.TASKS[scene.task].giver is None:
             require_grasp(read.env, scene)
         lit = render.picture(read.env, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
@@ -110,37 +108,25 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _hold_seconds(
-    read: RenderFlags, scene: GraspConfig, is_given: bool
-) -> float | None:
-    """Return the length of hold tests, s, None for the run's; a run keeps the rest of its scene."""
-    usual = setup(read.env)
-    if replace(scene, hold_seconds=usual.hold_seconds) != usual:
-        raise InputError(
-            "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
-        )
-    if is_given:
-        return scene.hold_seconds
-    return render.HOLD_SECONDS if read.episode is None else None
-
-
-def _watch(folder: Path, numbers: Sequence[int], hold_seconds: float | None) -> None:
+def _watch(read: RenderFlags) -> None:
     """Play a run's policy in a window."""
     with input_errors():
-        env, play = render.staged(folder, hold_seconds, "human")
+        env, play = render.staged(read.run[0], read.hold_seconds, "human")
         with closing(env):
-            for number in numbers:
+            for number in read.numbers:
                 verdict = "success" if play(number) else "no success"
-                console.print(f"{folder}: {verdict}")
+                console.print(f"{read.run[0]}: {verdict}")
 
 
-def _film(read: RenderFlags, hold_seconds: float | None) -> None:
-    video = read.video or Path("episodes.mp4")
+def _film(read: RenderFlags) -> None:
+    """Film runs' policies."""
+    video, tests = read.video or Path("episodes.mp4"), ""
+    if read.hold_seconds:
+        tests = f" (hold tests of {read.hold_seconds:g} s)"
     require_new(video, read.overwrite)
     with input_errors(), progress("pictures") as tick:
         for successes in render.film(
-            read.run, read.numbers, hold_seconds, read.camera, video, tick
+            read.run, read.numbers, read.hold_seconds, read.camera, video, tick
         ):
             verdicts = ", ".join("success" if it else "no success" for it in successes)
-            tests = f" (hold tests of {hold_seconds:g} s)" if hold_seconds else ""
             console.print(f"{video}: {verdicts}{tests}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -13,11 +12,12 @@ import numpy as np
 
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import Hand, ScriptedGrasp
+from ..envs.hands import Hand
 from ..envs.simulators import Camera, Simulator
 from ..envs.state import Array
 from ..errors import InputError, extra
 from ..files import replacing
+from ..scripted import reflexes
 from .hand_map import PAPER, TaxelMap, lettered, save_picture
 
 Pose = Literal["start", "grasp"]
@@ -25,15 +25,12 @@ Colour = tuple[int, int, int]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
 FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
-# Fragments of a second, each whole in itself: what is there can be played at any time.
-PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
-PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 ABOVE_GROUND = 0.01  # m, where a camera stays: through the ground all is grey
+CLOSES = 4  # actions before the giver lets go at which a hand closes, and as many after
 FARTHER = 1.2  # than the distance of pictures: a hand is not cut while it opens
-SIDE, LINES, LETTERS = 480, 88, (40, 26)
-"""Pixels of a film: height of the scene, of the lines above it, and of their letters."""
-TOUCH = "no touch", "touch"
+SIDE, LINE, LETTERS = 480, 48, 26
+"""Pixels of a film: height of the scene, of the line above it, and of its letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
 MAX_REACHES = (
     0.6  # reaches of the hand that an object may be from the palm to be looked at
@@ -41,28 +38,33 @@ MAX_REACHES = (
 
 
 def picture(
-    env_name: str,
-    config: GraspConfig,
-    pose: Pose,
-    camera: Camera,
-    out: Path,
-    grasp: ScriptedGrasp | None = None,
+    env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path
 ) -> int:
     """Write a picture of the start or of a scripted grasp; return how many taxels fire in it.
 
-    Beside it is the hand unrolled. `grasp` is played instead of the hand's own.
+    Beside it is the hand unrolled. In a handover the hand closes around what its giver holds.
     """
-    _writer("--out", out, PICTURES, "PIL")
+    _require("--out", out, PICTURES)
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
-        if pose == "grasp":
-            grasp = grasp or scripted.grasp_for(env)
-            for _ in scripted.hold_steps(env, grasp, scripted.Offsets(), seconds=0.5):
+        if pose == "grasp" and env.task.giver is not None:
+            take(env)
+        elif pose == "grasp":
+            grasp, start = scripted.grasp_for(env), scripted.Offsets()
+            for _ in scripted.hold_steps(env, grasp, start, seconds=0.5):
                 pass
         image = _Artist(env, camera).draw()
         with replacing(out) as file:
             save_picture(image, file, out.suffix)
         return int((env.taxel_readings() > 0).sum())
+
+
+def take(env: Any) -> None:
+    """Have the hand of a handover that has just been reset close around the object."""
+    [opened], [closed] = reflexes.parts(env, 1.0, np.zeros(2))
+    let_go = env.task.sets_off + env.task.stays
+    for step in range(let_go + CLOSES):
+        env.step_to(opened if step < let_go - CLOSES else closed)
 
 
 class _Artist:
@@ -139,9 +141,8 @@ class _Player:
         timestep = self.env.config.timestep
         every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (every * timestep)
-        self.label = TOUCH[self.env.config.touch == "on"]
-        self._successes, self._number = 0, 0
-        self._artist, self._tick = _Artist(self.env, camera), tick
+        self._name, self._number, self._tick = run.name, 0, tick
+        self._artist = _Artist(self.env, camera)
         self._pictures: list[Array] = []
         filmed: Any = Filmed(self.env.simulator, every, self._show)
         self.env.simulator = filmed
@@ -150,20 +151,15 @@ class _Player:
         """Return an episode's pictures, and whether it succeeds."""
         self._number, self._pictures = number, []
         success = self._play(number)
-        self._successes += success
-        self._show(*((": success", GREEN) if success else (": failure", RED)))
+        self._show(*(("success", GREEN) if success else ("failure", RED)))
         return self._pictures + self._pictures[-1:] * END_PICTURES, success
 
     def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
-        """Add a picture, with two lines above it."""
+        """Add a picture, with a line above it."""
         image = self._artist.draw()
-        lines = (
-            f"{self.label}{outcome}",
-            f"start {self._number}, successes so far: {self._successes}",
-        )
-        head = np.full((LINES, image.shape[1], 3), colour, np.uint8)
-        for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):
-            head = lettered(head, [(text, 14, y)], size, "ls")
+        head = np.full((LINE, image.shape[1], 3), colour, np.uint8)
+        line = f"{self._name}, start {self._number}  {outcome}"
+        head = lettered(head, [(line, 14, LINE / 2)], LETTERS, "lm")
         self._pictures.append(np.vstack([head, image]))
         self._tick()
 
@@ -182,34 +178,24 @@ def film(
     `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand.
     `tick` is called after every picture. InputError when a run's environment is not a grasping one.
     """
-    ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
+    _require("--video", out, FILMS)
+    with extra("render"):
+        import imageio.v2 as imageio
     distance = FARTHER * camera.distance
     camera = replace(camera, distance=distance, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
         players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:
             opened.callback(player.env.close)
-        labels = {player.label for player in players}
-        for run, player in zip(runs, players, strict=True):
-            if len(labels) < len(runs):  # then their names tell them apart
-                player.label = run.name
-        writer = None
+        fps = players[0].fps
+        writer: Any = imageio.get_writer(out, fps=fps, macro_block_size=2)
+        opened.enter_context(writer)
         for number in numbers:
             played = [player.film(number) for player in players]
             films, successes = zip(*played, strict=True)
-            if writer is None:
-                size = sum(film[0].shape[1] for film in films), SIDE + LINES
-                writer = ffmpeg.write_frames(
-                    out,
-                    size,
-                    fps=players[0].fps,
-                    macro_block_size=2,
-                    output_params=PLAYABLE,
-                )
-                opened.enter_context(closing(writer)).send(None)
             for i in range(max(map(len, films))):  # a shorter film waits at its end
                 images = [film[min(i, len(film) - 1)] for film in films]
-                writer.send(np.ascontiguousarray(np.hstack(images)))
+                writer.append_data(np.hstack(images))
             yield [*successes]
 
 
@@ -238,8 +224,8 @@ class Filmed:
                 self._show()
 
 
-def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
-    """Return the module that writes it. Raise InputError where `out` cannot be written."""
+def _require(flag: str, out: Path, endings: tuple[str, ...]) -> None:
+    """Raise InputError where `out` cannot be written, or there is nothing to draw with."""
     if out.suffix.lower() not in endings:
         raise InputError(
             f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}"
@@ -249,4 +235,4 @@ def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
             f"{flag}: found no folder {out.parent}, allowed one that exists"
         )
     with extra("render"):
-        return importlib.import_module(module)
+        import PIL  # noqa: F401

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from ..envs import hands, layouts, scenes, sensors, tasks, validation
 from ..envs.grasp import GraspConfig, setup
@@ -25,13 +23,9 @@ from ..envs.state import Array
 from ..envs.validation import Newtons, require_known
 from ..machine import WorkerCount
 from ..pictures import places
-from . import cover
 from .prices import Prices
 
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
-ANGLES = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
-"""Directions in which the margin of a taxel is looked at, rad."""
-KINDS = ("taxel", "digit", "segment")
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
 
@@ -55,11 +49,9 @@ class DesignFlags:
     alike."""
     env: str = ""
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
-    simulator: str = ""
-    """Physics engine: mujoco or pybullet; default: the scene's."""
-    sensor: tuple[str, ...] = ()
-    """Sensors, by name or .toml file: their radius, threshold, delay and price. With several, each has
-    a table of its own, on the same starts."""
+    sensor: str = ""
+    """A sensor, by name or .toml file: its radius, threshold, delay and price. With several, each has a
+    table of its own, on the same starts."""
     budget: Annotated[float, "(0, inf)"] | None = None
     """Money for taxels and boards, in the currency of the sensor's [cost]; the table also shows what
     smaller sums buy."""
@@ -71,8 +63,8 @@ class DesignFlags:
     skin: str = "4mm"
     """Candidates: the spacing of a grid over all surfaces, a layout, or a layout file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
-    """Radius of your sensors, mm. With it, no two chosen ones overlap along the skin. Default: the
-    sensor's; else the hand's own, or that of the layout."""
+    """Radius of your sensors, mm. With it, no two chosen ones overlap. Default: the sensor's; else the
+    hand's own, or that of the layout."""
     margin: Annotated[float, "[0, 50]"] = 0.0
     """Smallest distance of a taxel from each edge of its segment, mm, so that a housing fits."""
     only: tuple[str, ...] = ()
@@ -81,15 +73,15 @@ class DesignFlags:
     """Not on these, named as for --only."""
     keep: str = ""
     """A layout whose taxels the hand already has; the chosen ones are added to them."""
-    taxel_threshold: tuple[Newtons, ...] = ()
-    """Force from which a taxel fires, N; default: the sensor's, the scene's, or any touch. With
+    taxel_threshold: Newtons | None = None
+    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or any touch. With
     several, there is a table for each."""
     survives: str = ""
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """How far the hand is closed while it waits, from open (0) to closed (1); default: the scene's.
-    With several, each set of taxels uses its best."""
+    """How far the hand is closed while it waits, from open (0) to closed (1); default: as in the first
+    scene. With several, each set of taxels uses its best."""
     beside: tuple[str, ...] = tuple("123456")
     """Layouts to compare with."""
     starts: Annotated[int, "[1, 250000]"] = 200
@@ -101,32 +93,19 @@ class DesignFlags:
     workers: WorkerCount = None
     """Starts played side by side; default: one per free core. Results do not depend on it."""
 
-    def kinds(self, scene: GraspConfig) -> list[Kind]:
-        """Return all sensors to compare, each with every threshold; what none says is the scene's."""
-        kinds = []
-        for name, force in product(
-            self.sensor or ("",), self.taxel_threshold or (None,)
-        ):
-            file = vars(sensors.load(name)) if name else {}
-            known = file.get
-            if known("delay") is None:
-                file["delay"] = scene.taxel_delay * scene.control_dt
-            thresholds = force, known("threshold"), scene.taxel_threshold
-            kinds.append(
-                Kind(
-                    name=known("name"),
-                    radius=1e-3 * self.radius if self.radius else known("radius"),
-                    threshold=next((x for x in thresholds if x is not None), None),
-                    delay=file["delay"],
-                    cost=known("cost"),
-                )
-            )
-        return kinds
-
-    @property
-    def waits(self) -> tuple[float | None, ...]:
-        """Ways to wait: shares by which the hand is closed; None for as each scene has it."""
-        return self.start_closing or (None,)
+    def kind(self, scene: GraspConfig) -> Kind:
+        """Return the sensor: what a flag says counts, then its file, then the scene."""
+        file = vars(sensors.load(self.sensor)) if self.sensor else {}
+        radius, threshold, delay = map(file.get, ("radius", "threshold", "delay"))
+        if self.radius is not None:
+            radius = 1e-3 * self.radius
+        if threshold is None:
+            threshold = scene.taxel_threshold
+        if self.taxel_threshold is not None:
+            threshold = self.taxel_threshold
+        if delay is None:
+            delay = scene.taxel_delay * scene.control_dt
+        return Kind(file.get("name"), radius, threshold, delay, file.get("cost"))
 
     @property
     def numbers(self) -> range:
@@ -145,50 +124,27 @@ class DesignFlags:
         if not self.scene:
             raise ValueError("scene: found none, allowed one or more handovers")
         _ = self.numbers
-        for name in ("scene", "sensor", "taxel_threshold", "start_closing", "beside"):
-            require_distinct(name, getattr(self, name))
-
-
-def require_distinct(name: str, values: Sequence[object]) -> None:
-    """Raise ValueError where one of the values is there twice."""
-    for value, n in Counter(values).items():
-        if n > 1:
-            raise ValueError(f"{name}: found {value} {n} times, allowed once")
 
 
 def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
-    """Return the hand and its scenes by name; ValueError where they do not go together."""
+    """Return the hand and its scenes by name; ValueError where a design cannot be made in one."""
     env, configs = flags.env or scenes.load(flags.scene[0]).env, {}
-    if not hands.is_hand(env):
-        raise ValueError(f"env: found {env!r}, allowed: {hands.allowed()}")
-    simulator = {"simulator": flags.simulator} if flags.simulator else {}
     for name in flags.scene:
-        scene = scenes.load(name)
-        if not flags.env and scene.env != env:
-            allowed = "scenes of one hand, or --env"
-            raise ValueError(f"scene: found {name} of {scene.env}, allowed {allowed}")
-        config = configs[name] = setup(env, **{**scene.on(env), **simulator})
-        validation.validate(waiting(config, flags.waits[0]))
+        config = setup(env, **scenes.load(name).on(env))
+        for wait in flags.start_closing or [config.start_closing]:
+            validation.validate(replace(config, start_closing=wait))
         if tasks.TASKS[config.task].giver is None:
             raise ValueError(
                 f"scene: found {name}, whose object lies on the ground, allowed handovers; "
                 f"what touch can win there says tactilerl gate --scene {name}"
             )
-        for field, usual in INTACT.items():
-            if (value := getattr(config, field)) != usual:
-                raise ValueError(
-                    f"scene: found {name} with {field} {value}, allowed {usual}: a recording cannot "
-                    "know which taxels that strikes; --survives designs for the worst loss"
-                )
-    for field in ("taxel_threshold", "taxel_delay"):
-        if len(found := {getattr(config, field) for config in configs.values()}) > 1:
-            raise ValueError(f"scene: found {field} {found}, allowed the same in all")
+        if config != replace(config, **INTACT):
+            raise ValueError(
+                f"scene: found {name}, where touch is off or taxels fail at random, which no recording "
+                "can know; --survives designs for the worst loss"
+            )
+        configs[name] = config
     return env, configs
-
-
-def waiting(scene: GraspConfig, wait: float | None) -> GraspConfig:
-    """Return a scene with a hand that is so far closed while it waits; None for as it is."""
-    return scene if wait is None else replace(scene, start_closing=wait)
 
 
 def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
@@ -208,19 +164,13 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     allowed = [
         i
         for i, (index, (row, column, _)) in enumerate(spots)
-        if is_allowed[index] and has_margin(hand.surfaces[index], row, column, margin)
+        if is_allowed[index]
+        and (not margin or has_margin(hand.surfaces[index], row, column, margin))
     ]
     if not allowed:
         where = "that --only, --not and --margin allow"
         raise ValueError(f"skin: found no place of {flags.skin} {where}")
     return taxels.take(allowed)
-
-
-def fitted(taxels: Taxels, **changes: float | None) -> Taxels:
-    """Return taxels with another radius, m, or threshold, N, where that is given."""
-    given: Any = {name: x for name, x in changes.items() if x is not None}
-    points = tuple(point._replace(**given) for point in taxels.points)
-    return replace(taxels, points=points)
 
 
 def _names(surface: Surface) -> set[str]:
@@ -233,43 +183,40 @@ def has_margin(surface: Surface, row: float, column: float, margin: float) -> bo
 
     Edges are those that one sees from the palmar side.
     """
-    if not margin:
-        return True
     low, high, half_width = surface.span
     if surface.segment == "distal" and surface.bone is not None:
         high += half_width  # a fingertip is round
-    if not low + margin <= row <= high - margin or abs(column) > half_width - margin:
-        return False
-    around = zip(
-        row + margin * np.sin(ANGLES), column + margin * np.cos(ANGLES), strict=True
+    around = [(row + step, column) for step in (-margin, margin)]
+    around += [(row, column + step) for step in (-margin, margin)]
+    return all(
+        low <= r <= high and abs(c) <= half_width and not surface.is_gap(r, c)
+        for r, c in around
     )
-    return not any(surface.is_gap(*place) for place in around)
+
+
+def fitted(taxels: Taxels, **changes: float | None) -> Taxels:
+    """Return taxels with another radius, m, or threshold, N, where that is given."""
+    given: Any = {name: x for name, x in changes.items() if x is not None}
+    points = tuple(point._replace(**given) for point in taxels.points)
+    return replace(taxels, points=points)
+
+
+def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
+    """Return the taxels of all sets, one set after the other, and the indices of each set's."""
+    points = tuple(point for taxels in sets for point in taxels.points)
+    surfaces = np.concatenate([taxels.surfaces for taxels in sets])
+    offsets = np.concatenate([taxels.offsets for taxels in sets])
+    ends = np.cumsum([len(taxels) for taxels in sets])
+    parts = np.split(np.arange(len(points)), ends[:-1])
+    return Taxels(points, surfaces, offsets), [part.tolist() for part in parts]
 
 
 def overlap(hand: Hand, taxels: Taxels) -> Array:
-    """Return which two sensors do not fit beside each other on the open hand, bool (n, n).
-
-    The skin between two taxels turns like an arc: of the line between them, the part in the direction
-    in which their normals differ is a chord. That is exact on planes, cylinders and spheres.
-    """
+    """Return which two sensors do not fit beside each other on the open hand, bool (n, n)."""
     data = places.at_start(hand)
     points = np.array([placed(data, p.link, p.position) for p in taxels.points])
-    normals = np.array(
-        [placed(data, p.link, p.normal) - data.body(p.link).xpos for p in taxels.points]
-    )
-    near = cKDTree(points).query_pairs(2 * taxels.radii.max(), output_type="ndarray")
-    first, second = near.T
-    apart, turned = points[first] - points[second], normals[first] - normals[second]
-    half_turns = np.clip(np.linalg.norm(turned, axis=1) / 2, 1e-9, 1.0)
-    chords = (apart * turned).sum(axis=1) / (2 * half_turns)
-    longer = np.arcsin(half_turns) / half_turns
-    squared = (apart**2).sum(axis=1) + chords**2 * (longer**2 - 1)
-    is_too_near = (
-        np.sqrt(squared) < taxels.radii[first] + taxels.radii[second] - TOUCHING
-    )
-    overlapping = np.zeros((len(taxels), len(taxels)), bool)
-    overlapping[first, second] = overlapping[second, first] = is_too_near
-    return overlapping
+    least = np.add.outer(taxels.radii, taxels.radii) - TOUCHING
+    return np.asarray(cdist(points, points) < least)
 
 
 class Groups(NamedTuple):
@@ -303,68 +250,68 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
     Raise ValueError naming what is wrong with the `flag`, and FileNotFoundError.
     """
     surfaces = [hand.surfaces[index] for index in taxels.surfaces.tolist()]
-    if kind == "taxel":
-        return Groups(taxels.names, np.eye(len(taxels), dtype=bool))
-    if kind in KINDS:
-        parts = [
-            "palm" if surface.segment == "palm"
-            else surface.digit if kind == "digit"
-            else f"{surface.digit}.{surface.segment}"
-            for surface in surfaces
-        ]  # fmt: skip
-        names = tuple(dict.fromkeys(parts))
-        return Groups(names, np.array(parts) == np.array(names)[:, None])
+    digits = ["palm" if s.segment == "palm" else s.digit for s in surfaces]
+    segments = [
+        "palm" if s.segment == "palm" else f"{s.digit}.{s.segment}" for s in surfaces
+    ]
+    parts = {"taxel": list(taxels.names), "digit": digits, "segment": segments}
+    if kind in parts:
+        names = tuple(dict.fromkeys(parts[kind]))
+        return Groups(names, np.array(parts[kind]) == np.array(names)[:, None])
     if not kind.endswith(".toml"):
-        allowed = f"{', '.join(KINDS)}, or a .toml file"
+        allowed = f"{', '.join(parts)}, or a .toml file"
         raise ValueError(f"{flag}: found {kind!r}, allowed {allowed}")
     path = Path(kind)
     content = validation.read(path, "file of groups")
     with validation.blamed(f"file of groups {path}"):
-        groups, rows = validation.fill(GroupFile, content).group, []
-        segments = set().union(*(_names(surface) for surface in hand.surfaces))
+        groups = validation.fill(GroupFile, content).group
         if not groups:
             raise ValueError("group: found none, allowed one or more")
         for group in groups:
             require_known(group.digits, hand.digits)
-            require_known(group.segments, segments)
+            require_known(group.segments, set().union(*map(_names, hand.surfaces)))
             require_known(group.taxels, taxels.names)
-            rows.append(
-                [
-                    name in group.taxels
-                    or (surface.digit in group.digits and surface.segment != "palm")
-                    or not _names(surface).isdisjoint(group.segments)
-                    for name, surface in zip(taxels.names, surfaces, strict=True)
-                ]
-            )
-        return Groups(tuple(group.name for group in groups), np.array(rows, bool))
+    members = [
+        [
+            name in group.taxels
+            or digit in group.digits
+            or not _names(surface).isdisjoint(group.segments)
+            for name, digit, surface in zip(taxels.names, digits, surfaces, strict=True)
+        ]
+        for group in groups
+    ]
+    return Groups(tuple(group.name for group in groups), np.array(members))
 
 
-def joined(
-    sets: Sequence[Taxels], delays: Sequence[float]
-) -> tuple[Taxels, Array, list[list[int]]]:
-    """Return the taxels of all sets, each place, threshold and delay once, in the order of places.
+def priced(
+    flags: DesignFlags, cost: Cost | None, hand: Hand, skin: Taxels, free: Array
+) -> Prices | None:
+    """Return what taxels cost; None where nobody says it.
 
-    Return with it the delay of each, s, and which of them are those of each set.
+    Raise ValueError for a budget then, and for one that may be chosen and that no board serves.
     """
-    sizes = [len(taxels) for taxels in sets]
-    points = [point for taxels in sets for point in taxels.points]
-    surfaces = np.concatenate([taxels.surfaces for taxels in sets])
-    offsets = np.concatenate([taxels.offsets for taxels in sets])
-    every = Taxels(tuple(points), surfaces, offsets)
-    late = np.repeat(delays, sizes)
-    keys = np.column_stack([places.of(every), every.thresholds, late])
-    _, firsts, columns = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    parts = np.split(columns.reshape(-1), np.cumsum(sizes)[:-1])
-    return (
-        every.take(firsts.tolist()),
-        late[firsts],
-        [part.tolist() for part in parts],
-    )
+    if cost is None:
+        for flag in ("budget", "boards"):
+            if value := getattr(flags, flag):
+                raise ValueError(
+                    f"{flag}: found {value}, allowed with a --sensor that has a [cost]"
+                )
+        return None
+    if not flags.boards:
+        return Prices(cost, np.zeros(len(skin), int))
+    _, members = groups_of(flags.boards, hand, skin, "boards")
+    for index in np.flatnonzero(free).tolist():
+        if (n := members[:, index].sum()) != 1:
+            raise ValueError(
+                f"boards: found {skin.names[index]} in {n} of the groups of {flags.boards}, allowed in "
+                "one"
+            )
+    return Prices(cost, members.argmax(axis=0))
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Hold a hand in some scenes, its skin, and which taxels of the skin are whose."""
+    """Hold a hand in some scenes, and which taxels of its skin are whose. They go by their index."""
 
     flags: DesignFlags
     env: str
@@ -373,15 +320,13 @@ class Pool:
     sensor: Kind
     """The sensor that may be bought."""
     skin: Taxels
-    """All taxels that anything is asked of, with whatever sensor."""
-    delays: Array
-    """(m,) by how much each is read late, s."""
+    """First those that the hand has already, then candidates, then layouts to compare with."""
     existing: list[int]
-    """Columns (indices in the skin) of the taxels that the hand has already."""
-    free: list[int]
-    """Columns of those that may be chosen."""
+    """Those that the hand has already."""
+    free: Array
+    """(n,) bool: which of these and of the candidates may be chosen?"""
     references: dict[str, list[int]]
-    """Columns of the layouts to compare with, by name."""
+    """Those of the layouts to compare with, by name."""
     losses: Groups
     prices: Prices | None = None
     """None where the sensor's file says none."""
@@ -389,119 +334,81 @@ class Pool:
     """Names of candidates that were left out."""
 
     @classmethod
-    def of(cls, flags: DesignFlags) -> list[Pool]:
-        """Do as the flags say, for each sensor.
-
-        Raise ValueError where scenes do not go together, or one asks for what the hand does not have.
-        """
+    def of(cls, flags: DesignFlags) -> Pool:
+        """Do as the flags say; ValueError for an invalid one, and where they do not go together."""
+        flags.validate()
         env, scenes = scenes_of(flags)
         hand = hands.get(env)
-        compared = flags.kinds(next(iter(scenes.values())))
-        sets = []
+        sensor = flags.kind(next(iter(scenes.values())))
+        own = fitted(candidates(flags, hand), radius=sensor.radius)
+        there = layouts.load(flags.keep).place(hand) if flags.keep else own.take([])
         named = [layouts.load(name).place(hand) for name in flags.beside]
-        free = candidates(flags, hand)
-        existing = layouts.load(flags.keep).place(hand) if flags.keep else free.take([])
-        for sensor in compared:
-            own = fitted(free, radius=sensor.radius)
-            sets += [
-                fitted(taxels, threshold_N=sensor.threshold)
-                for taxels in (existing, own, *named)
-            ]
-        n = len(sets) // len(compared)
-        late = np.repeat([sensor.delay for sensor in compared], n)
-        skin, delays, columns = joined(sets, late.tolist())
-        losses = groups_of(flags.survives or "taxel", hand, skin, "survives")
+        skin, (existing, chosen_from, *beside) = joined([there, own, *named])
+        skin = fitted(skin, threshold_N=sensor.threshold)
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
-        pools = []
-        for sensor, first in zip(compared, range(0, len(sets), n), strict=True):
-            there, allowed, *beside = columns[first : first + n]
-            taken = {spots[column] for column in there}
-            pool = cls(
-                flags=flags,
-                env=env,
-                scenes=scenes,
-                hand=hand,
-                sensor=sensor,
-                skin=skin,
-                delays=delays,
-                existing=there,
-                free=[column for column in allowed if spots[column] not in taken],
-                references=dict(zip(flags.beside, beside, strict=True)),
-                losses=losses,
-            )
-            pools.append(replace(pool, prices=pool.priced()))
-        return pools
-
-    def __post_init__(self) -> None:
-        """Raise ValueError where too few taxels may be chosen, or the budget buys none."""
-        self.sizes()
-        most = self.flags.numbers[-1]
-        if self.flags.budget is None and most > len(self.free):
-            allowed = f"up to the {len(self.free)} that may be chosen"
+        taken = {spots[index] for index in existing}
+        free = np.array([spots[i] not in taken for i in existing + chosen_from])
+        pool = cls(
+            flags=flags,
+            env=env,
+            scenes=scenes,
+            hand=hand,
+            sensor=sensor,
+            skin=skin,
+            existing=existing,
+            free=free,
+            references=dict(zip(flags.beside, beside, strict=True)),
+            losses=groups_of(flags.survives or "taxel", hand, skin, "survives"),
+            prices=priced(flags, sensor.cost, hand, skin, free),
+        )
+        most = pool.sizes()[-1][0]
+        if flags.budget is None and most > free.sum():
+            allowed = f"up to the {free.sum()} that may be chosen"
             raise ValueError(f"taxels: found {most}, allowed {allowed}")
-
-    def priced(self) -> Prices | None:
-        """Return what taxels cost; ValueError for a budget without, or a taxel that no board serves."""
-        boards, cost = self.flags.boards, self.sensor.cost
-        if cost is None:
-            for flag in ("budget", "boards"):
-                if value := getattr(self.flags, flag):
-                    raise ValueError(
-                        f"{flag}: found {value}, allowed with a --sensor that has a [cost]"
-                    )
-            return None
-        groups = np.zeros(len(self.skin), int)
-        if boards:
-            _, members = groups_of(boards, self.hand, self.skin, "boards")
-            for column in self.free:
-                if (n := members[:, column].sum()) != 1:
-                    raise ValueError(
-                        f"boards: found {self.skin.names[column]} in {n} of the groups of {boards}, "
-                        "allowed in one"
-                    )
-            groups = members.argmax(axis=0)
-        return Prices(cost, groups)
+        return pool
 
     @property
-    def columns(self) -> list[int]:
-        """Columns of the taxels that the hand has already, then of those that may be chosen."""
-        return [*self.existing, *self.free]
+    def waits(self) -> tuple[float, ...]:
+        """Ways to wait: shares by which the hand is closed."""
+        first = next(iter(self.scenes.values()))
+        return self.flags.start_closing or (first.start_closing,)
+
+    @property
+    def whole(self) -> list[int]:
+        """All that the hand can have: what it has, and all that may be chosen."""
+        return [*self.existing, *np.flatnonzero(self.free).tolist()]
 
     @cached_property
     def overlap(self) -> Array | None:
-        """(m, m) bool, of its columns: which two do not fit beside each other?
+        """(n, n) bool: which two do not fit beside each other?
 
         None where nobody said how large the sensors are.
         """
         if self.sensor.radius is None:
             return None
-        return overlap(self.hand, self.skin.take(self.columns))
+        return overlap(self.hand, self.skin.take(range(len(self.free))))
 
     def sizes(self) -> list[tuple[int, int]]:
         """Return how many taxels, and on how many boards, sets may have; 0 boards: any number."""
-        flags = self.flags
-        if self.prices is None or flags.budget is None:
-            return [(n, 0) for n in flags.numbers]
-        return self.prices.sizes(self.free, flags.numbers, flags.budget)
+        numbers, budget = self.flags.numbers, self.flags.budget
+        if self.prices is None or budget is None:
+            return [(n, 0) for n in numbers]
+        return self.prices.sizes(np.flatnonzero(self.free).tolist(), numbers, budget)
 
     def fits(self, boards: int, taxels: Sequence[int]) -> Array:
-        """Tell which others of its columns find room beside some of them, and on 0 (any) boards."""
-        is_free = cover.others(len(self.columns), taxels)
+        """Tell which others find room beside some of them, and on 0 (any) boards, bool (n,)."""
+        is_free = self.free.copy()
+        is_free[list(taxels)] = False
         if self.overlap is not None:
             is_free &= ~self.overlap[list(taxels)].any(axis=0)
         if boards and self.prices is not None:
-            n = len(self.existing)
-            bought = [self.columns[taxel] for taxel in taxels if taxel >= n]
-            is_free &= self.prices.fits(bought, boards)[self.columns]
+            bought = [taxel for taxel in taxels if taxel not in self.existing]
+            is_free &= self.prices.fits(bought, boards)[: len(is_free)]
         return is_free
 
     def without(self, early: Array) -> Pool:
-        """Leave out candidates that are `early`, bool (m,) of the skin's taxels."""
-        return replace(
-            self,
-            free=[column for column in self.free if not early[column]],
-            early=tuple(
-                self.skin.names[column] for column in self.free if early[column]
-            ),
-        )
+        """Leave out candidates that are `early`, bool (m,) of the whole skin."""
+        is_early = self.free & early[: len(self.free)]
+        names = tuple(self.skin.names[i] for i in np.flatnonzero(is_early))
+        return replace(self, free=self.free & ~is_early, early=names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -11,11 +11,12 @@ import numpy as np
 
 from .. import statistics
 from ..envs import layouts, validation
+from ..envs.grasp import GraspConfig
 from ..envs.layouts import Layout
 from ..pictures import places
 from ..scripted import gate
 from . import cover
-from .candidates import DesignFlags, Pool, waiting
+from .candidates import DesignFlags, Pool
 from .cover import Starts
 from .prices import knee
 from .recording import record
@@ -24,8 +25,8 @@ CHOICE, TEST = 500_000, 750_000
 """Seeds of starts to choose from, and to judge on; those of the gate are others."""
 RANDOM_SETS = 20
 N_RESAMPLES = 10_000
-ByWait = dict[float | None, Starts]
-"""Starts by how far the hand is closed while it waits; None for as the scene has it."""
+ByWait = dict[float, Starts]
+"""Starts by how far the hand is closed while it waits."""
 Tick = Callable[..., None]
 START = 3  # episodes that take as long as a recorded start
 
@@ -50,122 +51,181 @@ class Row:
     lost: str | None = None
     """Name of that loss; None where no loss costs anything, and for random sets."""
     start_closing: float | None = None
-    """Share by which the hand is closed while it waits; None for as the scene has it."""
-    chosen_from: float | None = None
-    """Success in the starts from which these taxels were chosen."""
-    difference: tuple[float, float, float] | None = None
-    """Success less that of the layout that is the best in those, and its 95 % interval."""
+    """Share by which the hand is closed while it waits; None for random sets."""
     price: float | None = None
     """Price of the chosen taxels and their boards."""
     is_knee: bool = False
     """True for the set from which on more taxels, or more money, gain little."""
-    sensor: str | None = None
-    threshold: float | None = None
-    """Force from which a taxel fires, N; None for what the layout says."""
 
 
-class Use(NamedTuple):
-    """Say what touch has to beat."""
+class Pick(NamedTuple):
+    """A set of taxels that was chosen."""
 
-    sensor: str | None
-    threshold: float | None
-    """Force from which a taxel fires, N; None for what the layout says."""
-    blind: float
-    """Success of the best scripted hand without touch, in unseen starts: the mean over scenes."""
-    blind_hand: str
-    """Name of that hand, in each scene if they differ."""
-    start_closing: float | None
-    """Share by which it is closed while it waits."""
-
-    @property
-    def at(self) -> str:
-        """Sensor and threshold, as a part of a sentence."""
-        name = f" with {self.sensor}" if self.sensor else ""
-        return name + ("" if self.threshold is None else f" at {self.threshold:g} N")
-
-    def rows(self, rows: Sequence[Row]) -> list[Row]:
-        """Return those of its sensor and threshold."""
-        return [row for row in rows if (row.sensor, row.threshold) == self[:2]]
+    key: float
+    """Number of taxels, or with a budget the price."""
+    n: int
+    """Number of taxels; those that the hand has already do not count for it, nor for the price."""
+    boards: int
+    """Number of boards that these may take; 0 for any."""
+    price: float | None
+    taxels: list[int]
+    """With those that the hand has already."""
+    score: int
+    """How good it is in the starts to choose from (`cover.score`)."""
+    success: float
+    """Its success there."""
 
 
 @dataclass(frozen=True)
-class Design:
-    """Hold the taxels that were chosen, and say how good they are."""
+class Judge:
+    """Say what sets of taxels win in starts from which none of them was chosen.
+
+    A set waits as suited it best in those to choose from.
+    """
 
     pool: Pool
     choice: ByWait
     """The starts to choose from."""
     test: ByWait
     """Other starts, on which everything is judged."""
+
+    def wait(self, taxels: Sequence[int]) -> float:
+        """Return how far a hand with these taxels is closed while it waits."""
+        members = self.pool.losses.members
+        losses = members if self.pool.flags.survives else members[:0]
+        return max(
+            self.choice,
+            key=lambda wait: cover.score(self.choice[wait], taxels, losses),
+        )
+
+    def row(self, layout: str, taxels: Sequence[int]) -> Row:
+        """Return success, with its interval, share felt, and success after the worst loss.
+
+        Which loss is the worst is found in the starts to choose from: in these, the least of several
+        shares would be too low, and its interval as well. A set that was chosen for its worst loss has
+        none there that stands out; for it, the least share is nearer to the truth, and not too high.
+        """
+        wait, losses = self.wait(taxels), self.pool.losses
+        starts, found_in = self.test[wait], self.choice[wait]
+        if layout == "chosen" and self.pool.flags.survives:
+            found_in = starts
+        _, lost = cover.worst_loss(found_in, taxels, losses.members)
+        left = taxels
+        if lost is not None:
+            left = cover.without(taxels, losses.members[lost])
+        success, worst = cover.value(starts, taxels), cover.value(starts, left)
+        return Row(
+            layout=layout,
+            taxels=len(taxels),
+            success=success,
+            felt=float((cover.first_firing(starts, taxels) < starts.lets_go).mean()),
+            worst=worst,
+            success_interval=_interval(success, len(starts)),
+            worst_interval=_interval(worst, len(starts)),
+            lost=None if lost is None else losses.names[lost],
+            start_closing=wait,
+        )
+
+    def random(self, n: int, boards: int) -> Row:
+        """Return means over random sets of `n` taxels more, or as many as find room."""
+        rng = np.random.default_rng([self.pool.flags.seed, n])
+        sets = [drawn(n, self.pool, boards, rng) for _ in range(RANDOM_SETS)]
+        rows = [self.row("random", taxels) for taxels in sets]
+        means = np.mean([(row.success, row.felt, row.worst) for row in rows], axis=0)
+        return Row("random", n, *means.tolist())
+
+
+def _interval(rate: float, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of a success rate in `n` starts."""
+    return statistics.wilson_interval(round(n * rate), n)
+
+
+def drawn(n: int, pool: Pool, boards: int, rng: np.random.Generator) -> list[int]:
+    """Draw taxels: those that the hand has, and up to `n` random ones that find room."""
+    taxels = list(pool.existing)
+    for taxel in rng.permutation(np.flatnonzero(pool.free)).tolist():
+        if len(taxels) < len(pool.existing) + n and pool.fits(boards, taxels)[taxel]:
+            taxels.append(taxel)
+    return taxels
+
+
+@dataclass(frozen=True)
+class Design:
+    """Hold the taxels that were chosen, and say how good they are."""
+
+    judge: Judge
     chosen: dict[float, list[int]]
-    """Columns of the skin by number of taxels, or with a budget by price; those that the hand has
-    already come on top."""
-    best: str | None
-    """The layout with the most success in the starts to choose from, of those to compare with."""
+    """Chosen sets by number of taxels, or with a budget by price; with those that the hand has
+    already, which do not count for either."""
     rows: list[Row]
-    """Rows for each sensor and threshold after the other."""
-    uses: list[Use]
-    """Uses of touch for each of these. The fields before `rows` are of the first."""
-    against: dict[str | None, statistics.Estimate] = field(default_factory=dict)
-    """Success of each other sensor's best set less that of the first's, in the same starts."""
+    """The first is that of no touch."""
+    blind_hand: str
+    """Name of the best scripted hand without touch, in each scene if they differ."""
+
+    @property
+    def pool(self) -> Pool:
+        """Hand, scenes and candidates."""
+        return self.judge.pool
+
+    @property
+    def at(self) -> str:
+        """Sensor and threshold, as a part of a sentence."""
+        name, _, threshold, *_ = self.pool.sensor
+        with_sensor = f" with {name}" if name else ""
+        return with_sensor + ("" if threshold is None else f" at {threshold:g} N")
+
+    @property
+    def best(self) -> list[int]:
+        """The largest set, or the dearest."""
+        return self.chosen[max(self.chosen)]
 
     def sentences(self) -> list[str]:
-        """Say for each sensor whether touch pays and from which set on, and which sensor is better."""
-        said = []
-        for use in self.uses:
-            chosen = [row for row in use.rows(self.rows) if row.layout == "chosen"]
-            paying = [row for row in chosen if gate.pays(row.success, use.blind)]
-            row = paying[0] if paying else max(chosen, key=lambda row: row.success)
-            taxels = _taxels(row.taxels, row.price)
-            verdict = f"Touch {'pays' if paying else 'does not pay'}{use.at}"
-            if paying and len(chosen) > 1:
-                verdict += f" from {taxels} on"
-            said.append(
-                f"{verdict}: with {taxels} chosen the hand succeeds in {row.success:.2f} of the "
-                f"starts, the best one without touch ({use.blind_hand}, as the gate finds it) in "
-                f"{use.blind:.2f}."
-            )
-            most = chosen[-1]
-            for row in chosen:
-                if row.is_knee:
-                    said.append(
-                        f"The knee is at {_taxels(row.taxels, row.price)}: {row.success:.2f}; "
-                        f"{_taxels(most.taxels, most.price)} reach {most.success:.2f}."
-                    )
-        for sensor, difference in self.against.items():
-            said.append(
-                "Best set of {}, success less that of {} in the same starts: {:+.2f} ({:+.2f} to "
-                "{:+.2f}).".format(sensor, self.uses[0].sensor, *difference)
-            )
+        """Say whether touch pays, from which set on, and where more taxels gain little."""
+        blind = self.rows[0].success
+        chosen = [row for row in self.rows if row.layout == "chosen"]
+        paying = [row for row in chosen if gate.pays(row.success, blind)]
+        row = paying[0] if paying else max(chosen, key=lambda row: row.success)
+        verdict = f"Touch {'pays' if paying else 'does not pay'}{self.at}"
+        if paying and len(chosen) > 1:
+            verdict += f" from {_taxels(row.taxels, row.price)} on"
+        said = [
+            f"{verdict}: with {_taxels(row.taxels, row.price)} chosen the hand succeeds in "
+            f"{row.success:.2f} of the starts, the best one without touch ({self.blind_hand}, as the "
+            f"gate finds it) in {blind:.2f}."
+        ]
+        said += gate.few(len(self.pool.scenes) * self.pool.flags.test_starts)
+        most = chosen[-1]
+        for row in chosen:
+            if row.is_knee:
+                said.append(
+                    f"The knee is at {_taxels(row.taxels, row.price)}: {row.success:.2f}; "
+                    f"{_taxels(most.taxels, most.price)} reach {most.success:.2f}."
+                )
         return said
 
     def layout(self, key: float) -> Layout:
         """Return the layout of a chosen set, with the taxels that were there already."""
-        pool, columns = self.pool, self.chosen[key]
-        n = len(columns) - len(pool.existing)
-        scenes = ", ".join(pool.scenes)
+        pool, taxels = self.pool, self.chosen[key]
+        n, scenes = len(taxels) - len(pool.existing), ", ".join(pool.scenes)
         about = f"{_taxels(n)} placed by tactilerl for {scenes}"
-        return layouts.of_taxels(pool.skin.take(columns), pool.hand, about)
+        return layouts.of_taxels(pool.skin.take(taxels), pool.hand, about)
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
         pool, names = self.pool, validation.names(DesignFlags) - {"workers"}
         return {
-            "about": "taxels placed by tactilerl",
             "env": pool.env,
-            "simulator": next(iter(pool.scenes.values())).simulator,
+            "sensor": pool.sensor.name,
+            "threshold": pool.sensor.threshold,
             "asking": {name: getattr(pool.flags, name) for name in sorted(names)},
-            "candidates": len(pool.free),
-            "early": pool.early,
-            "beside": self.best,
+            "candidates": int(pool.free.sum()),
             "rows": [asdict(row) for row in self.rows],
-            "uses": [use._asdict() for use in self.uses],
             "verdict": " ".join(self.sentences()),
             "places": {
                 f"{key:g}": [
-                    place._asdict() for place in places.of(pool.skin.take(columns))
+                    place._asdict() for place in places.of(pool.skin.take(taxels))
                 ]
-                for key, columns in self.chosen.items()
+                for key, taxels in self.chosen.items()
             },
         }
 
@@ -176,63 +236,92 @@ def _taxels(n: int, price: float | None = None) -> str:
     return f"{n} {'taxel' if n == 1 else 'taxels'}{cost}"
 
 
-def design(flags: DesignFlags, workers: int, tick: Tick = lambda *_: None) -> Design:
+def difference(a: Design, b: Design) -> statistics.Estimate:
+    """Return the success of the best set of `a` less that of `b`, in the same starts."""
+    won = []
+    for design in (a, b):
+        starts = design.judge.test[design.judge.wait(design.best)]
+        won.append(cover.successes(starts, design.best).astype(float))
+    n_scenes = len(a.pool.scenes)
+    rng, n = np.random.default_rng(0), len(won[0]) // n_scenes
+    # Within each scene: which ones there are is not by chance.
+    counts = [statistics.resample(rng, n, N_RESAMPLES) for _ in range(n_scenes)]
+    return statistics.mean(won[0] - won[1], np.vstack(counts))
+
+
+def design(pool: Pool, workers: int, tick: Tick = lambda *_: None) -> Design:
     """Choose taxels by which a hand succeeds that closes at the first touch.
 
-    `tick` is called after every episode, and with a number after as many. Raise ValueError for a scene
-    in which nothing is handed over, and where flags do not go together.
+    `tick` is called after every episode, and with a number after as many.
     """
-    pools = Pool.of(flags)
-    choice = _played(pools[0], CHOICE, flags.starts, workers, tick)
+    flags = pool.flags
+    choice = _played(pool, CHOICE, flags.starts, workers, tick)
     # The same candidates for all ways to wait.
     early = np.any([starts.early for starts in choice.values()], axis=0)
-    pools = [pool.without(early) for pool in pools]
-    blind, uses = cache(partial(_blind, pools[0], workers, tick)), []
-    for pool in pools:
-        rates = {wait: cover.value(choice[wait], pool.columns) for wait in choice}
-        wait = max(rates, key=rates.__getitem__)
-        sensor = pool.sensor
-        uses.append(Use(sensor.name, sensor.threshold, *blind(wait), wait))
-    test = _played(pools[0], TEST, flags.test_starts, workers, tick)
-    designs = [
-        _judged(use, pool, choice, test) for use, pool in zip(uses, pools, strict=True)
-    ]
-    judge = Judge(choice, test, pools[0])
-    first, *others = [each.chosen[max(each.chosen)] for each in designs]
-    against = {
-        pool.sensor.name: judge.difference(columns, first)
-        for pool, columns in zip(pools[1:], others, strict=True)
-        if len(flags.sensor) > 1
-    }
-    rows = [row for each in designs for row in each.rows]
-    return replace(designs[0], rows=rows, uses=uses, against=against)
+    pool = pool.without(early)
+    wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.whole))
+    searched, _ = gate.numbers(flags.seed, 0, _search(flags))
+    compared = _numbers(flags, TEST, flags.test_starts)
+    scenes = tuple(_waiting(pool, wait))
+    blind, blind_hand = _blind(pool.env, scenes, searched, compared, workers, tick)
+    test = _played(pool, TEST, flags.test_starts, workers, tick)
+    return judged(Judge(pool, choice, test), blind, blind_hand, wait)
 
 
-def n_played(flags: DesignFlags) -> int:
+def judged(judge: Judge, blind: float, blind_hand: str, wait: float) -> Design:
+    """Return what is chosen from played starts, beside what it is compared with.
+
+    The best hand without touch is `wait` closed while it waits, and has the success `blind`.
+    """
+    pool = judge.pool
+    interval = _interval(blind, len(judge.test[wait]))
+    no_touch = Row("no touch", 0, blind, 0.0, blind, interval, interval)
+    rows = [replace(no_touch, start_closing=wait)]
+    rows += [judge.row(name, taxels) for name, taxels in pool.references.items()]
+    rows.append(judge.row("whole skin", pool.whole))
+    picks = _picks(judge.choice, pool)
+    successes = [pick.success for pick in picks]
+    at = knee([0.0, *(pick.key for pick in picks)], [blind, *successes])
+    for index, pick in enumerate(picks, 1):
+        row = replace(
+            judge.row("chosen", pick.taxels),
+            taxels=pick.n,
+            price=pick.price,
+            is_knee=index == at < len(picks),
+        )
+        rows += [row, judge.random(pick.n, pick.boards)]
+    return Design(judge, {pick.key: pick.taxels for pick in picks}, rows, blind_hand)
+
+
+def n_played(pool: Pool) -> int:
     """Return the number of episodes that a design plays, more or less."""
-    n_starts = len(flags.waits) * (flags.starts + flags.test_starts)
+    flags = pool.flags
+    n_starts = len(pool.waits) * (flags.starts + flags.test_starts)
     n_senses = len(gate.BLIND) - 1  # for most scenes let nobody see
     n_blind = n_senses * gate.n_played(flags.test_starts, _search(flags))
     return len(flags.scene) * (START * n_starts + n_blind)
 
 
+@cache  # designs with several sensors have the same
 def _blind(
-    pool: Pool, workers: int, tick: Tick, wait: float | None
+    env: str,
+    scenes: Sequence[GraspConfig],
+    searched: range,
+    compared: range,
+    workers: int,
+    tick: Tick,
 ) -> tuple[float, str]:
     """Return the success of the best scripted hand without touch, and which it is.
 
     It is chosen in the starts from which the gate chooses it, and judged where taxels are.
     The success is the mean over scenes, each with the hand that is best there.
     """
-    flags = pool.flags
-    searched, _ = gate.numbers(flags.seed, 0, _search(flags))
-    compared = _numbers(flags, TEST, flags.test_starts)
-    examine = partial(
-        gate.examine, pool.env, searched=searched, compared=compared, workers=workers, tick=tick,
-        senses=gate.BLIND,
-    )  # fmt: skip
-    scenes = [waiting(scene, wait) for scene in pool.scenes.values()]
-    found = [gate.without_touch(examine(scene)) for scene in scenes]
+    found = [
+        gate.without_touch(
+            gate.examine(env, scene, searched, compared, workers, tick, gate.BLIND)
+        )
+        for scene in scenes
+    ]
     rate = sum(hand.rate for hand in found) / len(found)
     return rate, ", ".join(dict.fromkeys(hand.name for hand in found))
 
@@ -250,65 +339,18 @@ def _numbers(flags: DesignFlags, first: int, n: int) -> range:
 
 def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
     """Play `n` starts of each scene with the whole skin, for each way to wait."""
-    flags, numbers = pool.flags, _numbers(pool.flags, first, n)
-    played: ByWait = {}
-    for wait in flags.waits:
-        scenes = [waiting(scene, wait) for scene in pool.scenes.values()]
+    numbers, played = _numbers(pool.flags, first, n), ByWait()
+    for wait in pool.waits:
+        scenes, delay = _waiting(pool, wait), pool.sensor.delay
         played[wait] = record(
-            pool.env, scenes, pool.skin, pool.delays, numbers, workers, partial(tick, START)
-        )  # fmt: skip
+            pool.env, scenes, pool.skin, delay, numbers, workers, partial(tick, START)
+        )
     return played
 
 
-def _judged(use: Use, pool: Pool, choice: ByWait, test: ByWait) -> Design:
-    """Return what is chosen for one sensor and threshold, beside what it is compared with."""
-    judge = Judge(choice, test, pool)
-    references = pool.references
-    best = max(
-        references, key=lambda name: judge.waits(references[name])[0], default=None
-    )
-    rows = [_without(use, len(judge))]
-    rows += [judge.row(name, columns) for name, columns in references.items()]
-    rows.append(judge.row("whole skin", pool.columns))
-    picks = _picks(choice, pool)
-    chosen: dict[float, list[int]] = {}
-    at = knee(
-        [0.0, *(pick.n if pick.price is None else pick.price for pick in picks)],
-        [use.blind, *(pick.chosen.value for pick in picks)],
-    )
-    for index, pick in enumerate(picks, 1):
-        columns = [pool.columns[i] for i in pick.chosen.taxels]
-        key = pick.n if pool.flags.budget is None else pick.price
-        chosen[key or 0.0] = columns
-        row = replace(
-            judge.row("chosen", columns),
-            taxels=pick.n,
-            price=pick.price,
-            is_knee=index == at < len(picks),
-            chosen_from=pick.chosen.value,
-            difference=judge.difference(columns, references[best]) if best else None,
-        )
-        rows += [row, judge.random(pick)]
-    rows = [replace(row, sensor=use.sensor, threshold=use.threshold) for row in rows]
-    return Design(pool, choice, test, chosen, best, rows, [])
-
-
-def _without(use: Use, n: int) -> Row:
-    """Return the row of the best hand without touch, judged on `n` starts."""
-    rate, interval = use.blind, _interval(use.blind, n)
-    return Row(
-        layout="no touch", taxels=0, success=rate, felt=0.0, worst=rate,
-        success_interval=interval, worst_interval=interval, start_closing=use.start_closing,
-    )  # fmt: skip
-
-
-class Pick(NamedTuple):
-    """Hold a chosen set of taxels: how many are bought, on how many boards (0: any), for how much."""
-
-    n: int
-    boards: int
-    price: float | None
-    chosen: cover.Chosen
+def _waiting(pool: Pool, wait: float) -> list[GraspConfig]:
+    """Return the scenes with a hand that is so far closed while it waits."""
+    return [replace(scene, start_closing=wait) for scene in pool.scenes.values()]
 
 
 def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
@@ -317,125 +359,33 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
     Within a budget these are the sets that no cheaper one reaches. Raise ValueError where there is no
     room for as many taxels as are asked for.
     """
-    losses = pool.losses.members[:, pool.columns] if pool.flags.survives else None
-    n_existing, budget, picks = len(pool.existing), pool.flags.budget, []
+    size, n_existing = len(pool.free), len(pool.existing)
+    losses = pool.losses.members[:, :size]
+    if not pool.flags.survives:
+        losses = losses[:0]
+    picks = []
     for n, boards in pool.sizes():
+        fits = partial(pool.fits, boards)
         sets = []
         for starts in choice.values():
-            starts = replace(starts, fires=starts.fires[:, pool.columns])
-            asked = (
-                n + n_existing,
-                list(range(n_existing)),
-                partial(pool.fits, boards),
-                losses,
-            )
-            sets.append(cover.choose(starts, *asked))
-        chosen = max(sets, key=lambda chosen: chosen[1:])
-        placed = [pool.columns[i] for i in chosen.taxels[n_existing:]]
-        if len(placed) < n and budget is None:
+            starts = replace(starts, fires=starts.fires[:, :size])
+            taxels = cover.choose(starts, n_existing + n, pool.existing, fits, losses)
+            success = cover.value(starts, taxels)
+            sets.append((cover.score(starts, taxels, losses), success, taxels))
+        score, success, taxels = max(sets, key=lambda found: found[0])
+        placed = taxels[n_existing:]
+        if len(placed) < n and pool.flags.budget is None:
             raise ValueError(
-                f"taxels: found {n}, allowed up to {len(placed)}; there is no room for more of this "
+                f"taxels: found {n}, allowed up to {len(placed)}; no room was found for more of this "
                 "radius"
             )
         price = pool.prices.of(placed) if pool.prices else None
-        picks.append(Pick(len(placed), boards, price, chosen))
-    if budget is None:
+        key = len(placed) if pool.flags.budget is None or price is None else price
+        picks.append(Pick(key, len(placed), boards, price, taxels, score, success))
+    if pool.flags.budget is None:
         return picks
     better: list[Pick] = []
-    picks.sort(key=lambda pick: (-(pick.price or 0.0), pick.chosen[1:]), reverse=True)
-    for pick in picks:
-        if not better or pick.chosen[1:] > better[-1].chosen[1:]:
+    for pick in sorted(picks, key=lambda pick: (pick.key, -pick.score)):
+        if not better or pick.score > better[-1].score:
             better.append(pick)
     return better
-
-
-class Judge:
-    """Say what sets of taxels win in starts from which none of them was chosen.
-
-    A set waits as suited it best in those to choose from.
-    """
-
-    def __init__(self, choice: ByWait, test: ByWait, pool: Pool) -> None:
-        """Take starts to choose from and to judge on, and what may be lost."""
-        self._choice, self._test, self._pool = choice, test, pool
-        self._losses = pool.losses.members
-        rng, n_scenes = np.random.default_rng(0), len(pool.scenes)
-        n = len(self) // n_scenes
-        # Within each scene: which ones there are is not by chance.
-        counts = [statistics.resample(rng, n, N_RESAMPLES) for _ in range(n_scenes)]
-        self._counts = np.vstack(counts)
-
-    def __len__(self) -> int:
-        """Return how many starts it judges on."""
-        return len(next(iter(self._test.values())))
-
-    def waits(self, taxels: Sequence[int]) -> tuple[float, float | None]:
-        """Return the best score in the starts to choose from, and how far the hand is closed for it."""
-        losses = self._losses if self._pool.flags.survives else self._losses[:0]
-        scores = {
-            wait: round(cover.score(starts, taxels, losses), 12)
-            for wait, starts in self._choice.items()
-        }
-        wait = max(scores, key=scores.__getitem__)
-        return scores[wait], wait
-
-    def row(self, layout: str, taxels: Sequence[int]) -> Row:
-        """Return success, with its interval, share felt, and success after the worst loss.
-
-        Which loss is the worst is found in the starts to choose from: in these, the least of several
-        shares would be too low, and its interval as well. A set that was chosen for its worst loss has
-        none there that stands out; for it, the least share is nearer to the truth, and not too high.
-        """
-        _, wait = self.waits(taxels)
-        starts = self._test[wait]
-        is_for_losses = layout == "chosen" and self._pool.flags.survives
-        found_in = starts if is_for_losses else self._choice[wait]
-        _, lost = cover.worst_loss(found_in, taxels, self._losses)
-        left = list(taxels)
-        if lost is not None:
-            left = cover.without(taxels, self._losses[lost])
-        worst = cover.value(starts, left)
-        success = cover.value(starts, taxels)
-        return Row(
-            layout=layout,
-            taxels=len(taxels),
-            success=success,
-            felt=float((cover.first_firing(starts, taxels) < starts.lets_go).mean()),
-            worst=worst,
-            success_interval=_interval(success, len(starts)),
-            worst_interval=_interval(worst, len(starts)),
-            lost=None if lost is None else self._pool.losses.names[lost],
-            start_closing=wait,
-        )
-
-    def random(self, pick: Pick) -> Row:
-        """Return means over random sets of as many taxels, or as many as find room."""
-        n, fits = pick.n, partial(self._pool.fits, pick.boards)
-        rng = np.random.default_rng([self._pool.flags.seed, n])
-        sets = [drawn(n, self._pool, fits, rng) for _ in range(RANDOM_SETS)]
-        rows = [self.row("random", taxels) for taxels in sets]
-        means = np.mean([(row.success, row.felt, row.worst) for row in rows], axis=0)
-        return Row("random", n, *means.tolist())
-
-    def difference(self, a: Sequence[int], b: Sequence[int]) -> statistics.Estimate:
-        """Return the success of `a` less that of `b` in the same starts, with its interval."""
-        won = [
-            cover.successes(self._test[self.waits(taxels)[1]], taxels).astype(float)
-            for taxels in (a, b)
-        ]
-        return statistics.mean(won[0] - won[1], self._counts)
-
-
-def _interval(rate: float, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of a success rate in `n` starts."""
-    return statistics.wilson_interval(round(n * rate), n)
-
-
-def drawn(n: int, pool: Pool, fits: cover.Fits, rng: np.random.Generator) -> list[int]:
-    """Draw columns: those that the hand has, and up to `n` random ones that find room."""
-    n_existing, columns = len(pool.existing), pool.columns
-    taxels = list(range(n_existing))
-    for taxel in n_existing + rng.permutation(len(pool.free)):
-        if len(taxels) < n_existing + n and fits(taxels)[taxel]:
-            taxels.append(int(taxel))
-    return [columns[taxel] for taxel in taxels]

@@ -31,8 +31,9 @@ def page(design: Design) -> bytes:
 def _data(design: Design) -> dict[str, Any]:
     """Return what the page has to know, which design.html reads."""
     pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin
-    drawn, simulator = Unrolled(hand), design.as_dict()["simulator"]
+    drawn, simulator = Unrolled(hand), next(iter(pool.scenes.values())).simulator
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
+    candidates = pool.whole
     words, dots = places.described(taxels, hand), []
     for index, place in enumerate(places.of(taxels)):
         x, y = drawn.point(place)
@@ -46,7 +47,7 @@ def _data(design: Design) -> dict[str, Any]:
                 "where": words[index],
                 "board": int(pool.prices.groups[index]) if pool.prices else 0,
                 "toml": layout.toml().split("\n", 1)[1],  # without the description
-                "candidate": index in pool.columns,
+                "candidate": index in candidates,
             }
         )
     losses = zip(pool.losses.names, pool.losses.members, strict=True)
@@ -54,8 +55,7 @@ def _data(design: Design) -> dict[str, Any]:
         "title": f"{hand_name} in {NAMES.get(simulator, simulator)}: "
         + ", ".join(pool.scenes),
         "panels": [
-            [left, high, right - left, high - low]
-            for left, low, right, high in (panel.box for panel in drawn.panels)
+            {"x": panel.x, "y": panel.y, "box": panel.box} for panel in drawn.panels
         ],
         "labels": drawn.labels,
         "letters": LETTERS,
@@ -64,10 +64,10 @@ def _data(design: Design) -> dict[str, Any]:
         "recordings": [
             {
                 "waits": wait,
-                "choice": _starts(design.choice[wait]),
+                "choice": _starts(design.judge.choice[wait]),
                 "test": _starts(starts),
             }
-            for wait, starts in design.test.items()
+            for wait, starts in design.judge.test.items()
         ],
         "survives": pool.flags.survives,
         "loss": layouts.short(pool.flags.survives or "taxel"),

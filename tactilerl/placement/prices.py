@@ -20,29 +20,31 @@ class Prices:
     """(m,) int: each taxel's group. A board serves one group only."""
 
     @property
-    def _channels(self) -> int:
+    def channels(self) -> int:
         """Number of taxels that a board reads."""
         return self.cost.channels or len(self.groups)
 
-    def _boards(self, taxels: Sequence[int], more: int = 0) -> Array:
-        """Return how many boards each group needs (g,), and with `more` taxels in each."""
-        counts = np.bincount(self.groups[list(taxels)], minlength=self.groups.max() + 1)
-        return -(-(counts + more) // self._channels)
+    def _counts(self, taxels: Sequence[int]) -> Array:
+        """Return how many of some taxels are in each group (g,)."""
+        return np.bincount(self.groups[list(taxels)], minlength=self.groups.max() + 1)
 
     def of(self, taxels: Sequence[int]) -> float:
         """Return the price of some taxels and their boards."""
-        return self._price(len(taxels), int(self._boards(taxels).sum()))
+        boards = np.ceil(self._counts(taxels) / self.channels).sum()
+        return self._price(len(taxels), int(boards))
 
     def _price(self, n: int, boards: int) -> float:
         return round(self.cost.each * n + self.cost.board * boards, 6)
 
     def fits(self, taxels: Sequence[int], boards: int) -> Array:
-        """Tell which other taxels go on to no more than some boards beside these, bool (m,)."""
-        needed, more = self._boards(taxels), self._boards(taxels, 1)
-        return needed.sum() + (more - needed)[self.groups] <= boards
+        """Tell which taxels go on to no more than some boards beside these, bool (m,)."""
+        counts = self._counts(taxels)
+        needs_another = counts % self.channels == 0
+        used = np.ceil(counts / self.channels).sum()
+        return np.asarray(used + needs_another[self.groups] <= boards)
 
     def sizes(
-        self, taxels: Sequence[int], numbers: Sequence[int], budget: float
+        self, taxels: Sequence[int], numbers: range, budget: float
     ) -> list[tuple[int, int]]:
         """Return the numbers of taxels, of these, and of boards that some money buys.
 
@@ -50,17 +52,16 @@ class Prices:
         """
         n_groups, sizes = len(np.unique(self.groups[list(taxels)])), []
         for n in numbers:
-            most = min(n, n_groups + max(0, n - n_groups) // self._channels)
-            fewest = -(-n // self._channels) if self.cost.board else most
+            most = min(n, n_groups + max(0, n - n_groups) // self.channels)
+            fewest = -(-n // self.channels) if self.cost.board else most
             sizes += [(n, boards) for boards in range(fewest, most + 1)]
-        affordable = [size for size in sizes if self._price(*size) <= budget]
-        if not affordable:
+        if (least := self._price(*sizes[0])) > budget:
             n, boards = sizes[0]
             raise ValueError(
-                f"budget: found {budget:g}, allowed {self._price(n, boards):g} or more, the price of "
+                f"budget: found {budget:g}, allowed {least:g} or more, the price of "
                 f"{n} of these sensors and {boards} of their boards"
             )
-        return affordable
+        return [size for size in sizes if self._price(*size) <= budget]
 
 
 def knee(prices: Sequence[float], successes: Sequence[float]) -> int:

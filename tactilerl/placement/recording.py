@@ -35,58 +35,57 @@ class SkinnedEnv(GraspEnv):
 
     def __init__(self, hand: str, config: GraspConfig, skin: Taxels) -> None:
         """Take the taxels of the skin."""
-        allowed = ["skin"] if skin.thresholds.any() else sorted({*RULES} - {"contact"})
-        require_one_of(allowed, config.touch_rule, "touch_rule")
+        require_one_of(sorted({*RULES} - {"contact"}), config.touch_rule, "touch_rule")
         super().__init__(hand, config)
         self.skin = touch.make(config.touch_rule, skin, self.hand)
+        self.skin_size = len(skin)
 
 
 def record(
     hand: str,
     scenes: Sequence[GraspConfig],
     taxels: Taxels,
-    delays: Array,
+    delay: float,
     numbers: Sequence[int],
     workers: int,
     tick: Callable[[], None] = lambda: None,
 ) -> Starts:
     """Play the starts that the seeds `numbers` draw in each scene.
 
-    Each taxel is read its delay (m,) in s late. `tick` is called after every start.
+    Taxels are read `delay` s late. `tick` is called after every start.
     """
     blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
     rows: list[Any] = []
     for scene in scenes:
         make = partial(SkinnedEnv, hand, replace(scene, **blind), taxels)
-        late = np.rint(delays / scene.control_dt).astype(int)
+        play = partial(_play, late=round(delay / scene.control_dt))
         with closing(vector.start(make, workers)) as played_in:
-            for played in played_in.play(partial(_play, delays=late), numbers):
-                rows.append(played)
+            for row in played_in.play(play, numbers):
+                rows.append(row)
                 tick()
     return Starts(*map(np.array, zip(*rows, strict=True)))
 
 
 def _play(
-    env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted, delays: Array
-) -> tuple[Array, Array, Array, int]:
+    env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted, late: int
+) -> tuple[Array, Array, int, int]:
     """Return a row of each array of `Starts`.
 
-    Readings come `delays` (m,) actions late. A start in which the physics breaks is felt by nobody.
+    Readings come `late` actions late. A start in which the physics breaks is felt by nobody.
     """
     base: Any = env.unwrapped
-    fires = np.full(len(delays), NEVER, np.uint8)
+    fires = np.full(base.skin_size, NEVER, np.uint8)
     succeeds = np.zeros(NEVER + 1, bool)
     base.skin.reset()
     try:
         env.reset(seed=number)
     except SimulationError:
-        return fires, succeeds, 0 * delays, 0
+        return fires, succeeds, 0, 0
     waiting, step, is_over = base.hand.start_targets(), 0, False
     while not is_over and is_wanted():
-        # The first reading is there from the beginning, however late the others are.
-        moments = np.minimum(step + delays, NEVER) if step else 0 * delays
         is_first = (fires == NEVER) & (base.skin.read(base.simulator.state()) > 0)
-        fires[is_first] = moments[is_first]
+        # The first reading is there from the beginning, however late the others are.
+        fires[is_first] = min(step + late, NEVER) if step else 0
         *_, terminated, truncated, _ = base.step_to(waiting)
         step, is_over = step + 1, terminated or truncated
     sets_off = base.task.sets_off
@@ -94,4 +93,4 @@ def _play(
         if not is_wanted():
             break
         succeeds[moment] = Reflex("time", moment, 1.0).play(env, number)
-    return fires, succeeds, sets_off + delays, sets_off + base.task.stays
+    return fires, succeeds, sets_off + late, sets_off + base.task.stays

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -26,22 +25,10 @@ REST = 0.5  # s without touch that a log has before its first press at least, an
 SIGMAS = 5.0  # of the noise at rest: further away, a reading tells of a press
 WINDOW = 0.05  # s before an event, in which the force is taken for a line
 MIN_PRESSES = 3
-MIN_SPECIMENS = 5  # from which an interval of their spread says anything
+MIN_SPECIMENS = 5  # from which their spread is told
 RESAMPLES, PERCENT = 999, (2.5, 97.5)
 MIN_RATIO = 2.0  # of the speeds of the fastest and the slowest press
-
-
-class _Log(NamedTuple):
-    """Hold what a log says of one sensor."""
-
-    presses: Array
-    """(n, 4): force, N, and its rate, N/s, at the moment when it fires, and when it stops."""
-    rest: Array
-    """Readings at rest."""
-    fired: Array
-    """(2, m): time and reading wherever it fires."""
-    force: Array
-    """(2, l): time and force."""
+ASKED = "allowed a log as the guide to sensors describes"
 
 
 def fit(paths: Sequence[Path]) -> str:
@@ -49,42 +36,22 @@ def fit(paths: Sequence[Path]) -> str:
 
     Raise ValueError naming what is wrong with a log, and FileNotFoundError.
     """
-    if len({path.resolve() for path in paths}) < len(paths):
-        raise ValueError(
-            "fit_sensor: found a file twice, allowed one for each specimen"
-        )
-    logs = [_read(path) for path in paths]
-    presses = [log.presses for log in logs]
+    presses, noises = zip(*map(_read, paths), strict=True)
     found, bounds = _estimate(presses), _bounds(presses)
-    delay = found[2]
-    lines = [
-        _line("threshold_N", found[0], *bounds[0]),
-        _line("release_N", found[1], *bounds[1]),
-        _line("delay_ms", 1e3 * delay, *1e3 * bounds[2]),
-    ]
-    if len(logs) >= MIN_SPECIMENS:
-        lines.append(_line("threshold_spread", found[3], *bounds[3]))
-    elif len(logs) > 1:
-        lines.append(f"threshold_spread = {found[3]:.3g}")
-    noise = [
-        (log.rest - log.rest.mean()) / _gain(log, delay)
-        for log in logs
-        if len(np.unique(log.fired[1])) > 2
-    ]
-    if noise:
-        every = np.concatenate(noise)
-        lines.append(_line("noise_N", every.std(), *_noise_bounds(every)))
+    keys = ["threshold_N", "release_N", "delay_ms"]
+    if len(paths) >= MIN_SPECIMENS:
+        keys.append("threshold_spread")
     about = f"Fitted to {sum(map(len, presses))} presses"
-    names = ", ".join(path.name for path in paths)
-    head = [
+    lines = [
         f"about = {validation.quoted(about)}",
-        f"source = {validation.quoted(names)}",
+        f"source = {validation.quoted(', '.join(path.name for path in paths))}",
+        "\n[sensor]",
     ]
-    return "\n".join([*head, "", "[sensor]", *lines, ""])
-
-
-def _line(key: str, value: float, low: float, high: float) -> str:
-    return f"{key} = {value:.3g}  # 95 %: {low:.3g} to {high:.3g}"
+    for key, value, (low, high) in zip(keys, found, bounds, strict=False):
+        lines.append(f"{key} = {value:.3g}  # 95 %: {low:.3g} to {high:.3g}")
+    if (noise := float(np.mean(noises))) > 0:
+        lines.append(f"noise_N = {noise:.3g}")
+    return "\n".join([*lines, ""])
 
 
 def _bounds(presses: Sequence[Array]) -> Array:
@@ -99,15 +66,8 @@ def _bounds(presses: Sequence[Array]) -> Array:
     return np.asarray(np.nanpercentile(found, PERCENT, axis=0).T)
 
 
-def _noise_bounds(readings: Array) -> Array:
-    """Return a 95 % interval of the standard deviation of readings by bootstrap."""
-    rng = np.random.default_rng(0)
-    found = [rng.choice(readings, len(readings)).std() for _ in range(RESAMPLES)]
-    return np.percentile(found, PERCENT)
-
-
 def _estimate(presses: Sequence[Array]) -> Array:
-    """Return threshold and release, N, delay, s, and the relative spread of the threshold.
+    """Return threshold and release, N, delay, ms, and the relative spread of the threshold.
 
     They are the means of specimens, each of which has presses (n, 4).
     """
@@ -118,54 +78,45 @@ def _estimate(presses: Sequence[Array]) -> Array:
     levels = (means[:, 0::2] - delay * means[:, 1::2]).clip(0.0)
     threshold, release = levels.mean(axis=0)
     spread = np.std(levels[:, 0], ddof=min(1, len(presses) - 1)) / threshold
-    return np.array([threshold, min(release, threshold), delay, spread])
+    return np.array([threshold, min(release, threshold), 1e3 * delay, spread])
 
 
-def _gain(log: _Log, delay: float) -> float:
-    """Return by how much the reading changes with the force, per N."""
-    times, readings = log.fired
-    return abs(float(np.polyfit(np.interp(times - delay, *log.force), readings, 1)[0]))
-
-
-def _read(path: Path) -> _Log:
-    """Return what a log says; ValueError naming what is wrong with it, and FileNotFoundError."""
-    with validation.blamed(f"log {path}"):
-        text = validation.read_text(path, "log")
-        header = text.partition("\n")[0].replace(" ", "").strip()
+def _read(path: Path) -> tuple[Array, float]:
+    """Return a log's presses and noise (`_pressed`); ValueError naming what is wrong with it."""
+    with (
+        validation.blamed(f"log {path}"),
+        path.open(encoding="utf-8-sig") as file,
+    ):
+        header = file.readline().replace(" ", "").strip()
         if header != COLUMNS:
             raise ValueError(
                 f"columns: found {header[:50]!r}, allowed {COLUMNS} (s, N, any unit)"
             )
-        rows = []
-        for number, line in enumerate(text.rstrip().splitlines()[1:], 2):
-            try:
-                time, force, reading = map(float, line.split(","))
-            except ValueError:
-                raise ValueError(
-                    f"line {number}: found {line[:50]!r}, allowed three numbers"
-                ) from None
-            rows.append((time, force, reading))
+        rows = np.loadtxt(file, delimiter=",", ndmin=2)
         if len(rows) < 3:
             raise ValueError(f"lines: found {len(rows)}, allowed some seconds of them")
-        _require_units(np.array(rows))
-        return _pressed(*np.array(rows).T)
+        if not np.isfinite(rows).all():
+            raise ValueError("found NaN or an infinity, allowed numbers")
+        time, force, reading = rows.T
+        steps = np.diff(time)
+        if not (steps.min() > 0 and np.median(steps) <= LONGEST_STEP):
+            found = f"found steps of {steps.min():g} s and more, {np.median(steps):g} s in the middle"
+            raise ValueError(
+                f"time: {found}, allowed above 0 and up to {LONGEST_STEP} s"
+            )
+        low, high = force.min(), force.max()
+        if low < FORCES[0] or high > FORCES[1]:
+            allowed = f"allowed {FORCES[0]:g} to {FORCES[1]:g} N"
+            raise ValueError(f"force_N: found {low:g} to {high:g} N, {allowed}")
+        return _pressed(time, force, reading)
 
 
-def _require_units(rows: Array) -> None:
-    """Raise ValueError for what is no number, or not in s and N."""
-    if not np.isfinite(rows).all():
-        raise ValueError("found NaN or an infinity, allowed numbers")
-    steps, force = np.diff(rows[:, 0]), rows[:, 1]
-    if not (steps.min() > 0 and np.median(steps) <= LONGEST_STEP):
-        found = f"found steps of {steps.min():g} s and more, {np.median(steps):g} s in the middle"
-        raise ValueError(f"time: {found}, allowed above 0 and up to {LONGEST_STEP} s")
-    if force.min() < FORCES[0] or force.max() > FORCES[1]:
-        found = f"found {force.min():g} to {force.max():g} N"
-        raise ValueError(f"force_N: {found}, allowed {FORCES[0]:g} to {FORCES[1]:g} N")
+def _pressed(time: Array, force: Array, reading: Array) -> tuple[Array, float]:
+    """Return presses (n, 4): force, N, and its rate, N/s, when the sensor fires and when it stops.
 
-
-def _pressed(time: Array, force: Array, reading: Array) -> _Log:
-    """Return where a sensor fires and stops; ValueError where a log does not tell."""
+    The second value is the noise of its reading at rest, N; 0 where it is one bit. Raise ValueError
+    where a log does not tell.
+    """
     step = float(np.median(np.diff(time)))
     smooth = uniform_filter1d(force, max(1, round(WINDOW / step)))
     first = smooth[: round(REST / step)]
@@ -174,27 +125,28 @@ def _pressed(time: Array, force: Array, reading: Array) -> _Log:
     pressed = smooth > max(PRESSED[0], PRESSED[1] * smooth.max())
     edges = np.flatnonzero(np.diff(pressed.astype(int), prepend=0, append=0))
     begins, ends = edges[0::2], edges[1::2]
-    asked = "allowed a log as the guide to sensors describes"
     if not len(begins):
-        raise ValueError(f"found no press of {PRESSED[0]} N, {asked}")
+        raise ValueError(f"found no press of {PRESSED[0]} N, {ASKED}")
     rest = reading[time < time[begins[0]] - REST]
     if len(rest) * step < REST:
         raise ValueError(
-            f"found less than {2 * REST:g} s of rest before the first press, {asked}"
+            f"found less than {2 * REST:g} s of rest before the first press, {ASKED}"
         )
     sign = np.sign(np.mean((force - force.mean()) * (reading - reading.mean())))
     fires = sign * (reading - rest.mean()) > SIGMAS * rest.std()
     if not fires.any():
-        raise ValueError(f"the reading never leaves its rest, {asked}")
+        raise ValueError(f"the reading never leaves its rest, {ASKED}")
     cuts = [0, *((ends[:-1] + begins[1:]) // 2), len(time) - 1]
     presses = []
     for begin, end in pairwise(cuts):
         firing = begin + np.flatnonzero(fires[begin:end])
         if len(firing) and not (fires[begin] or fires[end]):
-            events = firing[0], firing[-1] + 1
-            presses.append(
-                [x for event in events for x in _line_before(time, force, event)]
+            fired, stopped = firing[0], firing[-1] + 1
+            line = (
+                *_line_before(time, force, fired),
+                *_line_before(time, force, stopped),
             )
+            presses.append(line)
     if len(presses) < MIN_PRESSES:
         found = (
             f"found {len(presses)} presses after which the reading is again as at rest"
@@ -205,12 +157,10 @@ def _pressed(time: Array, force: Array, reading: Array) -> _Log:
         raise ValueError(
             f"found presses of {rates.min():.3g} to {rates.max():.3g} N/s, allowed slow and fast ones"
         )
-    return _Log(
-        np.array(presses),
-        rest,
-        np.array([time, reading])[:, fires],
-        np.array([time, force]),
-    )
+    if len(np.unique(reading[fires])) <= 2:
+        return np.array(presses), 0.0
+    gain, _ = np.polyfit(force[fires], reading[fires], 1)
+    return np.array(presses), float(rest.std() / abs(gain))
 
 
 def _line_before(time: Array, force: Array, event: int) -> tuple[float, float]:

@@ -19,6 +19,7 @@ MIN_GAIN = (
     0.3  # difference of success rates from which touch, or a scene, says anything
 )
 USABLE = 0.9  # success of the sighted hand from which a scene is worth training in
+ENOUGH = 40  # starts; of fewer, an interval is wider than MIN_GAIN
 NO_FAULTS: dict[str, Any] = {
     **dataclasses.asdict(TaxelFaults()),
     "taxel_delay": 0,
@@ -45,6 +46,10 @@ class HandResult:
 
     name: str
     """One of SENSES."""
+    layout: str
+    """The hand's taxels."""
+    taxel_threshold: float | None
+    """Force from which they fire, N; None for any touch."""
     reflex: reflexes.Reflex
     rate: float
     """Share of the starts in which it succeeds."""
@@ -109,7 +114,8 @@ def examine(
             n_won = _n_won(played_in, best, compared, tick)
         n = len(compared)
         interval = statistics.wilson_interval(n_won, n)
-        results.append(HandResult(name, best, n_won / n, interval, n))
+        taxels = scene.layout, scene.taxel_threshold
+        results.append(HandResult(name, *taxels, best, n_won / n, interval, n))
     return results
 
 
@@ -132,7 +138,7 @@ def n_played(starts: int, search: int) -> int:
     return reflexes.CANDIDATES * search + starts
 
 
-def without_touch(results: list[HandResult]) -> HandResult:
+def without_touch(results: Sequence[HandResult]) -> HandResult:
     """Return the best hand that neither feels nor sees the object's exact place."""
     blind = [result for result in results if result.name in BLIND]
     return max(blind, key=lambda result: result.rate)
@@ -143,76 +149,12 @@ def pays(touch: float, blind: float) -> bool:
     return round(touch - blind, 9) >= MIN_GAIN
 
 
-@dataclasses.dataclass(frozen=True)
-class Comparison:
-    """Hold the scripted hands of a scene, and the one that feels with each layout and threshold."""
-
-    results: list[HandResult]
-    """All hands in the first variant of the scene."""
-    with_touch: list[tuple[GraspConfig, HandResult]]
-    """Each variant, and the hand that feels in it."""
-
-    def label(self, variant: GraspConfig) -> str:
-        """Return what tells a variant from the others: its layout and threshold, or nothing."""
-        parts = []
-        if len({one.layout for one, _ in self.with_touch}) > 1:
-            parts.append(f"layout {variant.layout}")
-        if len({one.taxel_threshold for one, _ in self.with_touch}) > 1:
-            parts.append(f"{variant.taxel_threshold:g} N")
-        return ", ".join(parts)
-
-    def sentences(self) -> list[str]:
-        """Say what touch can win with each layout and threshold, and where it does not, what to try."""
-        blind = without_touch(self.results)
-        sighted = next(one.rate for one in self.results if one.name == "sighted")
-        if not pays(sighted, blind.rate):
-            return [
-                f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds "
-                f"in {blind.rate:.2f} of its starts, the sighted one in {sighted:.2f}."
-            ]
-        room, said = sighted - blind.rate, []
-        for variant, result in self.with_touch:
-            label, gained = self.label(variant), max(0.0, result.rate - blind.rate)
-            verdict = "pays" if pays(result.rate, blind.rate) else "does not pay"
-            said.append(
-                f"Touch {verdict}{label and f' ({label})'}: it closes {min(gained, room):.2f} of the "
-                f"{room:.2f} gap between the best scripted hand without touch ({blind.name}, "
-                f"{blind.rate:.2f}) and the sighted one ({sighted:.2f})."
-            )
-        best, result = max(self.with_touch, key=lambda row: row[1].rate)
-        if not pays(result.rate, blind.rate):
-            said.append(_what_to_try(best))
-        if sighted < USABLE:
-            said.append(
-                "Even with sight the hand often fails: improve the hand or the scene before you train."
-            )
-        return said
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
-        return {
-            "reflexes": [dataclasses.asdict(result) for result in self.results],
-            "touch": [
-                {
-                    "layout": variant.layout,
-                    "taxel_threshold": variant.taxel_threshold,
-                    **dataclasses.asdict(result),
-                }
-                for variant, result in self.with_touch
-            ],
-            "verdict": " ".join(self.sentences()),
-        }
-
-
-def _what_to_try(variant: GraspConfig) -> str:
-    """Return one sentence for a scene in which touch could pay, and with this layout does not."""
-    if tasks.TASKS[variant.task].giver is None:
-        return "Try other layouts (--layout)."
-    force = variant.taxel_threshold
-    flag = "" if force is None else f" --taxel-threshold {force:g}"
-    if variant.sensor:
-        flag += f" --sensor {variant.sensor}"
-    return f"Try tactilerl design{flag}, which looks for places where it pays."
+def few(starts: int) -> list[str]:
+    """Return a sentence for a verdict from so few starts that it may be chance."""
+    if starts >= ENOUGH:
+        return []
+    told = f"they cannot tell a difference of {MIN_GAIN}"
+    return [f"Few starts were judged ({starts}): {told}; play {ENOUGH} or more."]
 
 
 def compare(
@@ -223,23 +165,72 @@ def compare(
     seed: int,
     workers: int,
     tick: Callable[[], None] = lambda: None,
-) -> Comparison:
+) -> list[HandResult]:
     """Play all scripted hands in the first variant of a scene, and the one that feels in each.
 
     `tick` is called after every one of the `n_compared` episodes.
     """
-    searched, compared = numbers(seed, starts, search)
-    results: list[HandResult] = []
-    with_touch = []
+    senses, results = tuple(SENSES), list[HandResult]()
     for variant in variants:
-        senses = ("touch",) if results else tuple(SENSES)
-        found = examine(hand, variant, searched, compared, workers, tick, senses)
-        results = results or found
-        with_touch += [(variant, one) for one in found if one.name == "touch"]
-    return Comparison(results, with_touch)
+        played = *numbers(seed, starts, search), workers, tick, senses
+        results += examine(hand, variant, *played)
+        senses = ("touch",)
+    return sorted(results, key=lambda one: [*SENSES].index(one.name))
 
 
 def n_compared(variants: Sequence[GraspConfig], starts: int, search: int) -> int:
     """Return the number of episodes that `compare` plays."""
     n_senses = len(useful_senses(variants[0])) + len(variants) - 1
     return n_senses * n_played(starts, search)
+
+
+def which(result: HandResult, results: Sequence[HandResult]) -> str:
+    """Return what tells a hand that feels from the others: layout and threshold, or nothing."""
+    parts = []
+    if len({one.layout for one in results}) > 1:
+        parts.append(f"layout {result.layout}")
+    if len({one.taxel_threshold for one in results}) > 1:
+        parts.append(f"{result.taxel_threshold:g} N")
+    return ", ".join(parts) if result.name == "touch" else ""
+
+
+def sentences(scene: GraspConfig, results: Sequence[HandResult]) -> list[str]:
+    """Say what touch can win with each layout and threshold, and where it does not, what to try."""
+    blind, touching = without_touch(results), [r for r in results if r.name == "touch"]
+    sighted = next(one.rate for one in results if one.name == "sighted")
+    room, said = sighted - blind.rate, list[str]()
+    if not pays(sighted, blind.rate):
+        return [
+            f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds "
+            f"in {blind.rate:.2f} of its starts, the sighted one in {sighted:.2f}.",
+            *few(blind.episodes),
+        ]
+    for one in touching:
+        told = which(one, results)
+        where = f" ({told})" if told else ""
+        gained = min(max(0.0, one.rate - blind.rate), room)
+        verdict = "pays" if pays(one.rate, blind.rate) else "does not pay"
+        said.append(
+            f"Touch {verdict}{where}: it closes {gained:.2f} of the "
+            f"{room:.2f} gap between the best scripted hand without touch ({blind.name}, "
+            f"{blind.rate:.2f}) and the sighted one ({sighted:.2f})."
+        )
+    said += few(blind.episodes)
+    best = max(touching, key=lambda one: one.rate)
+    if not pays(best.rate, blind.rate):
+        said.append(_what_to_try(scene, best.taxel_threshold))
+    if sighted < USABLE:
+        said.append(
+            "Even with sight the hand often fails: improve the hand or the scene before you train."
+        )
+    return said
+
+
+def _what_to_try(scene: GraspConfig, threshold: float | None) -> str:
+    """Return one sentence for a scene in which touch could pay, and with these taxels does not."""
+    if tasks.TASKS[scene.task].giver is None:
+        return "Try other layouts (--layout)."
+    flag = "" if threshold is None else f" --taxel-threshold {threshold:g}"
+    if scene.sensor:
+        flag += f" --sensor {scene.sensor}"
+    return f"Try tactilerl design{flag}, which looks for places where it pays."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -41,8 +42,6 @@ class FoundGrasp(NamedTuple):
     """Share of the way to the closed hand that the fingers close; 1 is the closed hand."""
     share: float
     """Share of the steps of its holds in which the object was up."""
-    digits: float
-    """Number of digits that touched the object, on average."""
 
     def toml(self) -> str:
         """Return the grasp as text for the hand's file."""
@@ -56,14 +55,11 @@ class FoundGrasp(NamedTuple):
 class Candidate(NamedTuple):
     """A grasp that was tried."""
 
-    result: Array
-    """Result (3,), mean over the starts: goodness, share of the steps, number of digits (`_hold`)."""
+    goodness: float
+    share: float
+    """Share of the steps in which the object was up, like its goodness the mean over the starts."""
     figures: Array
     """Palm's offset (x, y, z) from its place at the start, m, and the share that the fingers close."""
-
-
-def _goodness(candidate: Candidate) -> float:
-    return float(candidate.result[0])
 
 
 def find(
@@ -92,7 +88,8 @@ def find(
         def test(figures: Array, starts: range) -> Candidate:
             tick()
             held = played_in.play(partial(_hold, grasp_of(figures)), starts)
-            return Candidate(np.mean(list(held), axis=0), figures)
+            goodness, share = np.mean(list(held), axis=0).tolist()
+            return Candidate(goodness, share, figures)
 
         searches = []
         for attempt, ground in enumerate(GROUNDS):
@@ -101,12 +98,11 @@ def find(
             )
             rng = np.random.default_rng(SEED + attempt)
             searches.append(_search(test, lowest, rng))
-            if searches[-1].result[1] >= GOOD:
+            if searches[-1].share >= GOOD:
                 break
-    best = max(reversed(searches), key=_goodness)
+    best = max(reversed(searches), key=attrgetter("goodness"))
     figures = np.round(best.figures, 4)
-    _, share, digits = best.result.tolist()
-    return FoundGrasp(grasp_of(figures), float(figures[-1]), share, digits)
+    return FoundGrasp(grasp_of(figures), float(figures[-1]), best.share)
 
 
 def _search(
@@ -124,10 +120,10 @@ def _search(
             draws = rng.normal(best.mean(axis=0), spread, (n, len(lowest)))
             draws = np.clip(draws, lowest, highest)
         tried += [test(figures, range(STARTS)) for figures in draws]
-        tried.sort(key=_goodness, reverse=True)
+        tried.sort(key=attrgetter("goodness"), reverse=True)
     others = range(STARTS, STARTS + OTHERS)  # where those that were lucky are not
     again = [test(candidate.figures, others) for candidate in tried[:BEST]]
-    return max(again, key=_goodness)
+    return max(again, key=attrgetter("goodness"))
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
@@ -144,11 +140,10 @@ def _hold(
     env: gym.Env[Any, Any],
     number: int,
     is_wanted: vector.IsWanted,
-) -> Array:
-    """Hold the object from the start of a number, and return the result (3,).
+) -> tuple[float, float]:
+    """Hold the object from the start of a number.
 
-    The entries are how good it is, the share of the steps in which the object was up, and the number
-    of digits that touched it.
+    Return how good that is, and the share of the steps in which the object was up.
     """
     base: Any = env.unwrapped
     start = scripted.perturbed_start(base, SEED, number)
@@ -158,10 +153,10 @@ def _hold(
             ups.append(is_up)
             last = base.simulator.state() if is_up else last
     except SimulationError:
-        ups, last = [False], None
-    share = float(np.mean(ups))
+        last = None
     if last is None:
-        return np.array([share, share, 0.0])
+        return 0.0, 0.0
+    share = float(np.mean(ups))
     links = {last.links[index] for index in last.contacts.links}
     touching = {
         surface.digit
@@ -171,14 +166,11 @@ def _hold(
     middle = _middle(base.hand, last.fingertips)
     off_middle = float(np.linalg.norm(last.object_position - middle))
     gained = BONUS * len(touching) / len(base.hand.digits)
-    good = share * (1 + gained - BONUS * min(1, off_middle / UP))
-    return np.array([good, share, len(touching)])
+    return share * (1 + gained - BONUS * min(1, off_middle / UP)), share
 
 
 def _middle(hand: Hand, tips: Array) -> Array:
     """Return the place between the thumb, where there is one, and the fingers (3,), m."""
-    digits = list(hand.digits)
-    if "thumb" not in digits:
-        return np.asarray(tips.mean(axis=0))
-    thumb = digits.index("thumb")
-    return np.asarray((tips[thumb] + np.delete(tips, thumb, axis=0).mean(axis=0)) / 2)
+    is_thumb = np.array([digit == "thumb" for digit in hand.digits])
+    parts = [tips[which] for which in (is_thumb, ~is_thumb) if which.any()]
+    return np.mean([part.mean(axis=0) for part in parts], axis=0)

@@ -59,23 +59,21 @@ class Reflex:
         """Play the start that the seed `number` draws, and return whether it succeeds."""
         base: Any = env.unwrapped
         obs, _ = env.reset(seed=number)
-        senses = _Senses(base, obs)
+        lifts, shift = base.task.giver is None, np.zeros(2)
+        if lifts and self.sense == "sight":  # where the object is seen beside its place
+            seen = base.observation_entries("object_position")[:2]
+            shift = obs["observation"][seen].astype(float)
+        first, second = parts(base, self.closing, shift)
+        latest = base.max_episode_steps - FINAL_ACTIONS - lifts * len(second)
+        senses = _Senses(base, obs, lifts * len(first), self.squeeze)
         read = getattr(senses, self.sense)
-        shift = senses.seen_offset() if self.sense == "sight" else np.zeros(2)
-        both = parts(base, self.closing, shift)
-        latest = base.max_episode_steps - FINAL_ACTIONS
-        if senses.lifts:
-            senses.n_first = len(both[0])
-            latest -= len(both[1])
-        first, second = (chain(part, repeat(part[-1])) for part in both)
-        targets: Iterator[Array] = first
+        targets: Iterator[Array] = chain(first, repeat(first[-1]))
         if self.squeeze:
-            senses.squeeze = self.squeeze
-            targets = cycle([both[1][-1]] * self.squeeze + [both[0][-1]] * self.squeeze)
-        is_over = False
+            targets = cycle([second[-1]] * self.squeeze + [first[-1]] * self.squeeze)
+        is_first, is_over = True, False
         while not is_over:
-            if read() >= self.threshold or senses.step >= latest:
-                targets = second
+            if is_first and (read() >= self.threshold or senses.step >= latest):
+                is_first, targets = False, chain(second, repeat(second[-1]))
             obs, _, terminated, truncated, info = base.step_to(next(targets))
             senses.add(obs)
             is_over = terminated or truncated
@@ -85,8 +83,14 @@ class Reflex:
 class _Senses:
     """Read one sense of a policy's observations: the newest and the first few."""
 
-    def __init__(self, env: GraspEnv, obs: dict[str, Array]) -> None:
-        """Take an environment and its first observation."""
+    def __init__(
+        self, env: GraspEnv, obs: dict[str, Array], n_first: int, squeeze: int
+    ) -> None:
+        """Take an environment and its first observation.
+
+        `n_first` is the number of actions of a lift's first part, 0 in a handover, and `squeeze` as in
+        `Reflex`.
+        """
         entries = env.observation_entries
         self._joints = entries("hand_position", "finger_joints", "joint_positions")
         self._object, self._taxels = entries("object_position"), entries("taxels")
@@ -95,8 +99,8 @@ class _Senses:
                 "reflexes go by joints and the object, which this hand does not observe"
             )
         self._touching = env.palm_skin[2] - env.shape.half_size[2]
-        self.lifts = env.task.giver is None
-        self.n_first = self.squeeze = 0
+        self._lifts = env.task.giver is None
+        self._n_first, self._squeeze = n_first, squeeze
         self._obs: list[Array] = []
         self.add(obs)
 
@@ -105,15 +109,9 @@ class _Senses:
         self._obs.append(obs["observation"])
         self.step = len(self._obs) - 1
 
-    def seen_offset(self) -> Array:
-        """Return where an object on the ground is seen beside its place at first (2,), m."""
-        if not self.lifts:
-            return np.zeros(2)
-        return self._obs[0][self._object[:2]].astype(float)
-
     def _is_early(self) -> bool:
         """Tell whether the fingers have not yet set off to a grasp."""
-        return self.lifts and self.step <= self.n_first // 2
+        return self._lifts and self.step <= self._n_first // 2
 
     def touch(self) -> float:
         """Return how many taxels fire; -1 before any may."""
@@ -123,13 +121,13 @@ class _Senses:
 
     def sight(self) -> float:
         """Return how near the object is to the palm, m; of one on the ground, the time."""
-        if self.lifts:
+        if self._lifts:
             return self.time()
         return float(self._obs[-1][self._object[2]] - self._touching)
 
     def time(self) -> float:
         """Return the number of actions so far; of a lift, since a grasp could be closed."""
-        return float(self.step - self.n_first)
+        return float(self.step - self._n_first)
 
     def joints(self) -> float:
         """Return how far any joint, or the hand, has moved, relative to how its first readings varied.
@@ -138,7 +136,7 @@ class _Senses:
         reading.
         """
         readings = np.array(self._obs)[:, self._joints].astype(float)
-        if self.lifts:
+        if self._lifts:
             if self._is_early():
                 return -np.inf
             return -float(np.abs(readings[-1] - readings[-2]).max())
@@ -153,10 +151,10 @@ class _Senses:
 
         It is in rad and m, and 0 but right after a test squeeze.
         """
-        if not self.squeeze or self.step % (2 * self.squeeze) != self.squeeze:
+        if not self._squeeze or self.step % (2 * self._squeeze) != self._squeeze:
             return 0.0
         now, first = (
-            self._obs[step][self._joints] for step in (self.step, self.squeeze)
+            self._obs[step][self._joints] for step in (self.step, self._squeeze)
         )
         return float(np.abs(now - first).mean())
 

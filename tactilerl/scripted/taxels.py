@@ -43,24 +43,20 @@ class TaxelCheck:
         return self.held == self.grasps and self.share_any >= MIN_SHARE
 
     def silent(self) -> list[str]:
-        """Name digits of which no taxel fired, and of others the segments with some that never did."""
-        places = Counter(_place(name) for name in self.fired + self.never_fired)
-        never, digits = Counter(map(_place, self.never_fired)), Counter[str]()
-        for place, n in places.items():
-            digits[place[0]] += n - never[place]
-        parts = [digit for digit, n in digits.items() if n == 0]
-        for (digit, segment), n in never.items():
-            if digits[digit]:
-                most = places[digit, segment]
-                share = "" if n == most else f" ({n} of {most})"
-                parts.append(f"{digit}.{segment}{share}")
-        return parts
+        """Name each segment with taxels that never fired, and how many of them where some did."""
+        fired, never = (
+            Counter(map(_segment, self.fired)),
+            Counter(map(_segment, self.never_fired)),
+        )
+        return [
+            segment + (f" ({n} of {n + fired[segment]})" if fired[segment] else "")
+            for segment, n in never.items()
+        ]
 
 
-def _place(name: str) -> tuple[str, str]:
-    """Return the digit and the segment of a taxel."""
-    digit, _, segment = name.partition("[")[0].partition(".")
-    return digit, segment
+def _segment(name: str) -> str:
+    """Return the digit's segment that a taxel is on."""
+    return name.partition("[")[0]
 
 
 def check(

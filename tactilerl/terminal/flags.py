@@ -79,15 +79,18 @@ def peek(args: Sequence[str], *names: str) -> dict[str, str]:
     return vars(_known(parser, args)[0])
 
 
-def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
+def several(
+    args: Sequence[str], flag: str, kind: type[Any] = str
+) -> tuple[list[Any], list[str]]:
     """Return the values of a flag that takes one elsewhere, and `args` with the first alone.
 
     Raise InputError where it has none.
     """
     parser = _parser()
-    parser.add_argument(flag, nargs="+", default=[], dest="values")
+    parser.add_argument(flag, nargs="+", default=[], dest="values", type=kind)
     given, rest = _known(parser, args)
-    return given.values, [*rest, *([flag, given.values[0]] if given.values else [])]
+    values = given.values
+    return values, [*rest, *([flag, str(values[0])] if values else [])]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -52,8 +52,9 @@ def test_env_and_gate_take_a_sensor(capsys):
     assert "fsr                  Force-sensing resistor, 8 mm" in printed(capsys, ["env"])
     printed(capsys, ["env", "--env", "mpl", "--sensor", "fsr", "--touch-rule", "force"])
     gate = ["gate", "--scene", "handover", "--starts", "1", "--search", "1", "--workers", "1", "--json"]
-    (touch,) = json.loads(printed(capsys, [*gate, "--sensor", "switch"]))["touch"]
-    assert touch["taxel_threshold"] == 0.98
+    told = json.loads(printed(capsys, [*gate, "--sensor", "switch"]))
+    assert {row["taxel_threshold"] for row in told["reflexes"]} == {0.98}
+    assert "Few starts were judged (1)" in told["verdict"]
     for command in (["env"], gate, TRAIN):
         fails_with(capsys, [*command, "--sensor", "fsr9"], "found 'fsr9', did you mean fsr? allowed")
     fails_with(capsys, ["env", "--sensor", "no.toml"], "sensor file 'no.toml' does not exist")
@@ -77,10 +78,8 @@ def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys,
     assert unknown in printed(capsys, ["env", *scene, "eflesh"])
     for known in (["--taxel-threshold", "0.1"], ["--touch-rule", "force"], ["--touch", "off"]):
         assert "eflesh names" not in printed(capsys, ["env", *scene, "eflesh", *known])
-    assert (
-        "sensor: fsr; radius 0.00381 m, threshold 0.2 N, release 0.16 N, delay 0 control steps; unused "
-        "by touch rule skin: saturates, gain_spread\n"
-    ) in printed(capsys, ["env", *scene, "fsr"])
+    told = "sensor: fsr, taxel_radius 0.00381, taxel_threshold 0.2\n"
+    assert told in printed(capsys, ["env", *scene, "fsr"])
     assert main([*TRAIN, "--sensor", "eflesh", "--total-timesteps", "12", "--out", "run"]) == 0
     assert "eflesh names no threshold" in " ".join(capsys.readouterr().out.split())
     assert main(EVALUATE) == 0
@@ -133,11 +132,10 @@ def test_a_fit_gives_back_the_numbers_of_simulated_logs(capsys):
     }
     assert found == pytest.approx(true, rel=0.06)
     assert all(low <= found[key] <= high for key, (low, high) in bounds.items())
-    assert bounds.keys() == true.keys()
+    assert bounds.keys() == true.keys() - {"noise_N"}
     assert bounds["threshold_N"][1] - bounds["threshold_N"][0] > 0.06  # from specimen to specimen
-    found, bounds = fitted(capsys, "0.csv", "4.csv")  # too few to tell how well one knows the spread
-    assert found["threshold_spread"] > 0.0
-    assert "threshold_spread" not in bounds
+    found, _ = fitted(capsys, "0.csv", "4.csv")
+    assert "threshold_spread" not in found  # which two specimens do not tell
     for number in range(3):  # noise puts some releases above the threshold
         write(f"{number}.csv", log(0.3, 0.3, delay=0.0, noise=0.0, seed=number))
         found, bounds = fitted(capsys, f"{number}.csv")
@@ -187,9 +185,8 @@ def test_a_log_that_does_not_tell_is_one_line(rows, header, said, capsys):
 
 def test_other_logs_are_one_line(capsys):
     Path("log.csv").write_text("time,force_N,reading\n0,0,much\n1,0,0\n2,0,0\n")
-    fails_with(capsys, ["env", "--fit-sensor", "log.csv"], "line 2: found '0,0,much', allowed three")
-    fails_with(capsys, ["env", "--fit-sensor", "log.csv", "./log.csv"], "found a file twice")
-    fails_with(capsys, ["env", "--fit-sensor", "none.csv"], "log 'none.csv' does not exist")
+    fails_with(capsys, ["env", "--fit-sensor", "log.csv"], "could not convert string 'much' to float")
+    fails_with(capsys, ["env", "--fit-sensor", "none.csv"], "No such file or directory: 'none.csv'")
     same = log(0.3, 0.2, delay=0.0, noise=0.0, seed=0, n=1)
     rest = same[round(2 / 0.004) :]
     whole = np.vstack([same[:500], *[rest] * 4])

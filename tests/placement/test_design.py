@@ -3,9 +3,8 @@
 import dataclasses
 import itertools
 import json
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,17 +12,15 @@ import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, scenes
 from tactilerl.envs.grasp import GraspEnv, setup
-from tactilerl.envs.hands import Point
-from tactilerl.envs.layouts import Taxels
 from tactilerl.envs.sensors import Cost
 from tactilerl.placement import choice, cover
 from tactilerl.placement.candidates import (
     DesignFlags,
+    Groups,
     Pool,
     candidates,
     fitted,
     groups_of,
-    joined,
     overlap,
 )
 from tactilerl.placement.cover import NEVER, Starts
@@ -32,7 +29,7 @@ from tactilerl.placement.recording import record
 from tactilerl.scripted import gate
 from tactilerl.scripted.reflexes import Reflex
 
-from one_line import fails_with
+from one_line import fails_with, printed
 
 FEW = ["--starts", "3", "--test-starts", "3", "--workers", "1", "--seed", "7", "--beside", "2"]
 FEW += ["--skin", "8mm"]
@@ -46,88 +43,66 @@ def some(rng, n=12, m=8):
     return starts_of(fires, succeeds)
 
 
-def starts_of(fires, succeeds):
+def starts_of(fires, succeeds=None):
     n = len(fires)
-    return Starts(np.array(fires, np.uint8), succeeds, np.zeros((n, 1)), np.zeros(n))
+    if succeeds is None:
+        succeeds = np.zeros((n, NEVER + 1), bool)
+        succeeds[:, 5] = True
+    return Starts(np.array(fires, np.uint8), succeeds, np.zeros(n), np.zeros(n))
 
 
-NO_LOSS = np.zeros((0, 8), bool)
+NO_LOSS, NO_OVERLAP = np.zeros((0, 8), bool), np.zeros((8, 8), bool)
 
 
-def apart(overlap):
-    """Room for taxels of which no two overlap."""
-    return lambda taxels: cover.others(len(overlap), taxels) & ~overlap[taxels].any(axis=0)
+def choose(starts, k, existing=(), overlap=NO_OVERLAP, losses=NO_LOSS):
+    """The best set, where there is room for taxels of which no two overlap."""
+    m = starts.fires.shape[1]
+    overlap = (overlap[:m, :m]) | np.eye(m, dtype=bool)
+    return cover.choose(
+        starts, k, existing, lambda taxels: ~overlap[list(taxels)].any(axis=0), losses[:, :m]
+    )
 
 
-def best_of(starts, k, existing=(), overlap=None, losses=NO_LOSS):
+def best_of(starts, k, existing=(), overlap=NO_OVERLAP, losses=NO_LOSS):
     """The best score of any set."""
     free = [i for i in range(starts.fires.shape[1]) if i not in existing]
     sets = [[*existing, *x] for x in itertools.combinations(free, k - len(existing))]
-    if overlap is not None:
-        sets = [x for x in sets if not overlap[np.ix_(x, x)].any()]
-    return max(cover.score(starts, x, losses) for x in sets)
+    return max(cover.score(starts, x, losses) for x in sets if not overlap[np.ix_(x, x)].any())
 
 
 class TestCover:
     def test_no_other_set_is_better(self):
-        """Whatever fires early, taxels that the hand has already included."""
-        for seed in range(40):
+        """Whatever fires early, taxels that the hand has already included, after losses of any one
+        taxel or of any of three groups, which may share taxels, and where some overlap."""
+        for seed in range(60):
             rng = np.random.default_rng(seed)
             starts, existing = some(rng), [5] if seed % 2 else []
             starts.fires[:, 5] = np.where(rng.random(12) < 0.3, 3, starts.fires[:, 5])
-            result = cover.choose(starts, 3, existing)
-            assert cover.score(starts, result.taxels, NO_LOSS) == pytest.approx(
-                best_of(starts, 3, existing)
-            )
-            assert result.value == pytest.approx(cover.value(starts, result.taxels))
-            assert {*existing} <= {*result.taxels}
-
-    def test_no_other_set_is_better_after_the_worst_loss(self):
-        """Of any one taxel, or of any of three groups, which may share taxels."""
-        for seed in range(20):
-            rng = np.random.default_rng(seed)
-            starts, losses = some(rng), np.eye(8, dtype=bool)
-            if seed % 2:
-                losses = rng.random((3, 8)) < 0.4
-            result = cover.choose(starts, 4, losses=losses)
-            expected = best_of(starts, 4, losses=losses)
-            assert cover.score(starts, result.taxels, losses) == pytest.approx(expected, abs=1e-9)
+            losses = [NO_LOSS, np.eye(8, dtype=bool), rng.random((3, 8)) < 0.4][seed % 3]
+            pairs = np.triu(rng.random((8, 8)) < 0.1 * (seed % 4 == 0), 1)
+            given = existing, pairs | pairs.T, losses
+            taxels = choose(starts, 3, *given)
+            assert cover.score(starts, taxels, losses) == best_of(starts, 3, *given)
+            assert {*existing} <= {*taxels}
+            assert not given[1][np.ix_(taxels, taxels)].any()
 
     def test_the_worst_loss(self):
-        succeeds = np.zeros((4, NEVER + 1), bool)
-        succeeds[:, 5] = True
-        starts = starts_of([[5, 5], [NEVER, 5], [5, NEVER], [NEVER, 5]], succeeds)
-        assert cover.worst_loss(starts, [0, 1], np.eye(2, dtype=bool)) == (0.5, 1)
-        assert cover.worst_loss(starts, [0, 1], np.ones((1, 2), bool)) == (0.0, 0)
-        assert cover.worst_loss(starts, [0, 1], np.zeros((1, 2), bool)) == (1.0, None)
+        starts = starts_of([[5, 5], [NEVER, 5], [5, NEVER], [NEVER, 5]])
+        assert cover.worst_loss(starts, [0, 1], np.eye(2, dtype=bool)) == (2, 1)
+        assert cover.worst_loss(starts, [0, 1], np.ones((1, 2), bool)) == (0, 0)
+        assert cover.worst_loss(starts, [0, 1], np.zeros((1, 2), bool)) == (4, None)
 
     def test_what_fires_too_early_spoils_a_start(self):
-        succeeds = np.zeros((1, NEVER + 1), bool)
-        succeeds[0, 20] = True
-        starts = starts_of([[20, 8]], succeeds)
+        starts = starts_of([[5, 4]])
         assert cover.value(starts, [0]) == 1.0
-        assert cover.value(starts, [0, 1]) == 0.0
-        assert cover.choose(starts, 2).value == 0.0
+        assert cover.value(starts, [0, 1]) == cover.value(starts, choose(starts, 2)) == 0.0
 
-    def test_no_two_overlap(self):
-        starts, overlap = some(np.random.default_rng(4)), np.zeros((8, 8), bool)
-        free = cover.choose(starts, 3)
-        overlap[np.ix_(free.taxels, free.taxels)] = ~np.eye(3, dtype=bool)
-        result = cover.choose(starts, 3, fits=apart(overlap))
-        assert not overlap[np.ix_(result.taxels, result.taxels)].any()
-        best = best_of(starts, 3, overlap=overlap)
-        assert cover.score(starts, result.taxels, NO_LOSS) == pytest.approx(best)
-
-    def test_room_that_greedy_does_not_leave(self):
-        succeeds = np.zeros((5, NEVER + 1), bool)
-        succeeds[:, 5] = True
-        starts = starts_of([[5, 5, NEVER]] * 2 + [[NEVER, 5, 5]] * 2 + [[5, NEVER, 5]], succeeds)
-        overlap = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], bool)  # a row of three
-        assert cover.choose(starts, 2, fits=apart(overlap)).taxels == [0, 2]
-
-    def test_no_room(self):
-        starts, overlap = some(np.random.default_rng(5)), ~np.eye(8, dtype=bool)
-        assert len(cover.choose(starts, 3, fits=apart(overlap)).taxels) == 1
+    def test_room(self):
+        """For two at the ends of a row of three, whose middle one is the best; and for one only."""
+        starts = starts_of([[5, 5, NEVER]] * 2 + [[NEVER, 5, 5]] * 2 + [[5, NEVER, 5]])
+        row = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], bool)
+        assert choose(starts, 2, overlap=row) == [0, 2]
+        assert len(choose(starts, 3, overlap=np.ones((8, 8), bool))) == 1
 
 
 class TestPrices:
@@ -160,13 +135,13 @@ class TestPrices:
             picks = choice._picks({None: starts}, pool)
             sets = [x for n in range(1, 5) for x in itertools.combinations(range(8), n)]
             for pick in picks:
-                assert pick.price == self.PRICES.of(pick.chosen.taxels) <= budget
+                assert pick.key == pick.price == self.PRICES.of(pick.taxels) <= budget
                 best = max(cover.value(starts, x) for x in sets if self.PRICES.of(x) <= pick.price)
-                assert pick.chosen.value == pytest.approx(best)
-            assert pick.chosen.value == max(
+                assert pick.success == pytest.approx(best)
+            assert pick.success == max(
                 cover.value(starts, x) for x in sets if self.PRICES.of(x) <= budget
             )
-            prices, values = zip(*((pick.price, pick.chosen.value) for pick in picks), strict=True)
+            prices, values = zip(*((pick.price, pick.success) for pick in picks), strict=True)
             assert [*prices] == sorted(set(prices))
             assert [*values] == sorted(set(values))
 
@@ -178,40 +153,31 @@ class TestPrices:
 @cache
 def a_pool():
     """A pool of eight candidates that nothing else is known of."""
-    [pool] = Pool.of(DesignFlags(scene=("handover",), taxels="1", skin="20mm", beside=()))
-    return dataclasses.replace(pool, free=[*range(8)])
+    pool = Pool.of(DesignFlags(scene=("handover",), taxels="1", skin="20mm", beside=()))
+    return dataclasses.replace(pool, free=np.ones(8, bool))
 
 
 class TestSizes:
     """Sensors of a radius of their own."""
 
     def test_random_sets_do_not_overlap(self):
-        [pool] = Pool.of(DesignFlags(scene=("handover",), radius=10.0))
-        assert pool.overlap.any()
+        pool = Pool.of(DesignFlags(scene=("handover",), radius=10.0, skin="6mm"))
         for seed in range(5):
-            drawn = choice.drawn(8, pool, partial(pool.fits, 0), np.random.default_rng(seed))
-            at = [pool.columns.index(column) for column in drawn]
+            drawn = choice.drawn(8, pool, 0, np.random.default_rng(seed))
             assert len(set(drawn)) == 8
-            assert not pool.overlap[np.ix_(at, at)].any()
+            assert pool.overlap[np.ix_(drawn, drawn)].sum() == 8  # each with itself
 
     @pytest.mark.parametrize("name", ["mpl", "shadow"])
-    def test_sensors_keep_their_distance_along_the_skin(self, name):
-        """On a flat palm 6 mm, around a finger as much of its arc, and from one segment to the next."""
+    def test_sensors_keep_their_distance(self, name):
+        """From one segment to the next, too."""
         hand = hands.get(name)
         taxels = fitted(candidates(DesignFlags(), hand), radius=3e-3)
         overlapping = overlap(hand, taxels)
         a, b = np.argwhere(~overlapping & (taxels.surfaces[:, None] == taxels.surfaces)).T
         apart = np.linalg.norm(taxels.positions[a] - taxels.positions[b], axis=1)
-        assert apart[a != b].min() >= 5.99e-3 * (1 if name == "shadow" else 0.99)
+        assert 5.99e-3 <= apart.min() < 8e-3
         is_next = taxels.link_index[:, None] != taxels.link_index
-        assert (overlapping & is_next).any() == (name == "shadow")  # whose links meet
-        finger = next(s for s in hand.surfaces if s.segment == "proximal")
-        places = [finger.place(0.0, column) for column in (0.0, 0.6 * finger.radius)]
-        arc = finger.radius * np.arcsin(0.6)
-        for radius, fits in ((arc / 2 - 1e-5, True), (arc / 2 + 1e-5, False)):
-            points = [Point(finger.link, *place, radius, str(i)) for i, place in enumerate(places)]
-            pair = Taxels(tuple(points), np.zeros(2, int), np.zeros((2, 3)))
-            assert overlap(hand, pair)[0, 1] != fits
+        assert (overlapping & is_next).any()
 
     def test_a_margin_to_the_edge(self):
         hand = hands.get("mpl")
@@ -226,13 +192,13 @@ class TestSizes:
         file = tmp_path / "there.toml"
         file.write_text('[[patch]]\ndigits = ["index"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\n'
                         "radius_mm = 3\n")  # fmt: skip
-        [pool] = Pool.of(DesignFlags(scene=("handover",), keep=str(file)))
-        free = pool.skin.take(pool.columns[1:])
-        there = pool.skin.points[pool.columns[0]]
+        pool = Pool.of(DesignFlags(scene=("handover",), keep=str(file)))
+        there, *free = pool.skin.take(pool.whole).points
+        assert pool.existing == [0]
         assert there.radius == pytest.approx(3e-3)
-        assert there[:2] not in [point[:2] for point in free.points]
-        layout = layouts.of_taxels(pool.skin.take(pool.columns), pool.hand, "all")
-        assert len(layouts.load(layout.toml()).place(pool.hand)) == len(pool.columns)
+        assert there[:2] not in [point[:2] for point in free]
+        layout = layouts.of_taxels(pool.skin.take(pool.whole), pool.hand, "all")
+        assert len(layouts.load(layout.toml()).place(pool.hand)) == len(pool.whole)
 
 
 class TestLosses:
@@ -276,25 +242,15 @@ class TestPrediction:
     def test_success_of_a_set(self, choices, tmp_path):
         scene = scenes.load("handover")
         config = setup("mpl", **{**scene.on("mpl"), **choices})
-        layout = layouts.load("5")
-        taxels = fitted(layout.place(hands.get("mpl")), threshold_N=config.taxel_threshold)
+        taxels = layouts.load("5").place(hands.get("mpl"))
+        taxels = fitted(taxels, threshold_N=config.taxel_threshold)
         late = config.taxel_delay * config.control_dt
-        skin, delays, [columns] = joined([taxels], [late])
-        starts = record("mpl", [config], skin, delays, range(6), 1)
-        expected = cover.successes(starts, columns)
+        starts = record("mpl", [config], taxels, late, range(6), 1)
+        expected = cover.successes(starts, range(len(taxels)))
         env = GraspEnv("mpl", dataclasses.replace(config, layout="5"))
         played = [Reflex("touch", 1, 1.0).play(env, number) for number in range(6)]
         assert played == expected.tolist()
         assert sum(played) > 0
-
-    def test_taxels_in_one_place_keep_their_thresholds_and_delays(self):
-        soft = layouts.load("5").place(hands.get("mpl"))
-        sets = [soft, fitted(soft, threshold_N=5.0), soft]
-        skin, delays, columns = joined(sets, [0.0, 0.0, 0.1])
-        assert len(skin) == 3 * len(soft)
-        for taxels, late, own in zip(sets, (0.0, 0.0, 0.1), columns, strict=True):
-            assert skin.thresholds[own].tolist() == taxels.thresholds.tolist()
-            assert set(delays[own]) == {late}
 
 
 class TestCandidates:
@@ -315,15 +271,30 @@ class TestCandidates:
         file = tmp_path / "pad.toml"
         file.write_text("[sensor]\nradius_mm = 3\nthreshold_N = 0.2\ndelay_ms = 200\n")
         scene = setup("mpl", taxel_threshold=0.5, taxel_delay=3)
-        [plain] = DesignFlags(radius=4.0).kinds(scene)
+        plain = DesignFlags(radius=4.0).kind(scene)
         assert plain[:4] == (None, 0.004, 0.5, pytest.approx(3 * scene.control_dt))
-        pads = DesignFlags(sensor=(str(file), "switch"), taxel_threshold=(0.0, 0.3)).kinds(scene)
-        assert [pad[:3] for pad in pads[:2]] == [("pad", 0.003, 0.0), ("pad", 0.003, 0.3)]
-        assert pads[0].delay == 0.2
-        assert [pad.name for pad in pads[2:]] == ["switch"] * 2
-        [pool] = Pool.of(DesignFlags(scene=("handover",), sensor=(str(file),), skin="6"))
-        own = pool.skin.take(pool.free)
+        pad = DesignFlags(sensor=str(file)).kind(scene)
+        assert pad[:4] == ("pad", 0.003, 0.2, 0.2)
+        assert DesignFlags(sensor=str(file), taxel_threshold=0.0).kind(scene).threshold == 0.0
+        pool = Pool.of(DesignFlags(scene=("handover",), sensor=str(file), skin="6"))
+        own = pool.skin.take(pool.whole)
         assert (len(own), {*own.radii}, {*own.thresholds}) == (19, {3e-3}, {0.2})
+
+    def test_taxels_that_fire_before_anything_comes_are_left_out(self):
+        pool = a_pool()
+        early = np.zeros(len(pool.skin), bool)
+        early[2] = True
+        left = pool.without(early)
+        assert left.whole == [0, 1, 3, 4, 5, 6, 7]
+        assert left.early == (pool.skin.names[2],)
+        assert not left.fits(0, [])[2]
+
+
+def judge_of(choice_starts, test_starts, losses, **changes):
+    """A judge of starts with these losses, bool (g, m), in a pool with some fields of its own."""
+    names = tuple(map(str, range(len(losses))))
+    pool = dataclasses.replace(a_pool(), losses=Groups(names, losses), **changes)
+    return choice.Judge(pool, {0.2: choice_starts}, {0.2: test_starts})
 
 
 def test_starts_are_resampled_within_their_scenes():
@@ -331,58 +302,43 @@ def test_starts_are_resampled_within_their_scenes():
     succeeds = np.zeros((8, NEVER + 1), bool)
     succeeds[:4, 5] = True
     starts = starts_of([[5, NEVER]] * 8, succeeds)
-    losses = SimpleNamespace(names=("a", "b"), members=np.eye(2, dtype=bool))
-    pool = SimpleNamespace(scenes={"a": 1, "b": 2}, losses=losses, flags=SimpleNamespace(survives=""))
-    judge = choice.Judge({None: starts}, {None: starts}, pool)
-    assert judge.difference([0], [1]) == pytest.approx((0.5, 0.5, 0.5))
+    judge = judge_of(starts, starts, np.eye(2, dtype=bool), scenes={"a": 1, "b": 2})
+    a, b = (choice.Design(judge, {1: [taxel]}, [], "timed") for taxel in (0, 1))
+    assert choice.difference(a, b) == pytest.approx((0.5, 0.5, 0.5))
 
 
 @pytest.mark.slow
 def test_success_after_the_worst_loss_has_no_bias_and_its_interval_holds():
     """Losses that cost alike: each start is felt by one of six taxels at most, so a loss costs 1/6."""
     rng, n, losses = np.random.default_rng(0), 100, np.eye(6, dtype=bool)
-    pool = SimpleNamespace(
-        scenes={"a": 1},
-        losses=SimpleNamespace(names=tuple("abcdef"), members=losses),
-        flags=SimpleNamespace(survives=""),
-    )
-    succeeds = np.zeros((n, NEVER + 1), bool)
-    succeeds[:, 5] = True
 
-    def judged():
-        recorded = [
-            {None: starts_of(np.where(losses[rng.integers(6, size=n)], 5, NEVER), succeeds)}
-            for _ in range(2)
-        ]
-        return choice.Judge(*recorded, pool).row("", range(6))
+    def drawn():
+        return starts_of(np.where(losses[rng.integers(6, size=n)], 5, NEVER))
 
-    rows = [judged() for _ in range(300)]
+    rows = [judge_of(drawn(), drawn(), losses).row("", range(6)) for _ in range(300)]
     assert np.mean([row.worst for row in rows]) == pytest.approx(5 / 6, abs=0.006)
     covered = [row.worst_interval[0] <= 5 / 6 <= row.worst_interval[1] for row in rows]
     assert np.mean(covered) == pytest.approx(0.95, abs=0.02)
 
 
-def test_layouts_are_compared_with_the_best_in_the_starts_to_choose_from():
-    succeeds = np.zeros((4, NEVER + 1), bool)
-    succeeds[:, 5] = True
-    first, second = (starts_of([row] * 4, succeeds) for row in ([5, NEVER], [NEVER, 5]))
-    [pool] = Pool.of(DesignFlags(scene=("handover",), taxels="1", survives="digit"))
-    pool = dataclasses.replace(
-        pool, free=[0, 1], references={"1": [0], "2": [1]},
-        losses=SimpleNamespace(names=("a",), members=np.zeros((1, 2), bool)),
-    )  # fmt: skip
-    use = choice.Use(None, None, 0.5, "timed", None)
-    design = choice._judged(use, pool, {None: first}, {None: second})
-    assert design.best == "1"
+@pytest.mark.parametrize(("n", "few"), [(4, "Few starts were judged (4): they cannot tell"), (40, "")])
+def test_a_set_that_was_chosen_by_chance_loses_in_other_starts(n, few):
+    first, second = starts_of([[5, NEVER]] * 4), starts_of([[NEVER, 5]] * 4)
+    flags = DesignFlags(scene=("handover",), taxels="1", survives="digit", test_starts=n)
+    changes = {"flags": flags, "free": np.ones(2, bool), "references": {"2": [1]}}
+    design = choice.judged(
+        judge_of(first, second, np.zeros((1, 2), bool), **changes), 0.5, "timed", 0.2
+    )
     assert design.chosen == {1: [0]}
     rows = {row.layout: row for row in design.rows}
-    assert rows["no touch"].success == 0.5
-    assert rows["chosen"].difference[0] == 0.0
-    design = dataclasses.replace(design, uses=[use])
-    assert design.sentences() == [
+    assert [rows[name].success for name in ("no touch", "2", "chosen")] == [0.5, 1.0, 0.0]
+    said = " ".join(design.sentences())
+    assert said.startswith(
         "Touch does not pay: with 1 taxel chosen the hand succeeds in 0.00 of the starts, the best one "
         "without touch (timed, as the gate finds it) in 0.50."
-    ]
+    )
+    assert few in said
+    assert ("Few" in said) == bool(few)
 
 
 @pytest.mark.usefixtures("in_tmp", "few_reflexes")
@@ -400,18 +356,16 @@ class TestCommand:
             assert main([*args, "--out", out]) == 0
         said = capsys.readouterr().out
         assert "taxels for a hand that closes at the first touch" in said
-        assert "tactilerl train --scene handover --layout a/design_1.toml" in said
-        names = {path.name for path in Path("a").iterdir() if path.name != ".lock"}
-        assert names == {"design.json", "design.html", *(f"design_{n}.{end}" for n in (1, 2)
-                                                      for end in ("toml", "svg"))}  # fmt: skip
+        names = {path.name for path in Path("a").iterdir()}
+        assert names == {"design.json", "design.html", "design_1.toml", "design_2.toml"}
         for name in names:
             assert Path("a", name).read_bytes() == Path("b", name).read_bytes(), name
         result = json.loads(Path("a/design.json").read_text())
         rows = {(row["layout"], row["taxels"]): row for row in result["rows"]}
         assert rows["whole skin", result["candidates"]]["success"] == 1.0
         assert rows["chosen", 2]["success"] >= 0.5 > rows["random", 2]["success"]
-        assert rows["no touch", 0]["success"] == result["uses"][0]["blind"]
         assert result["verdict"] in " ".join(said.split())
+        assert "Few starts were judged (3)" in result["verdict"]
         assert max(map(len, said.partition("Touch")[0].splitlines())) <= 80
         assert "worst loss" not in said
         assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "1",
@@ -429,37 +383,20 @@ class TestCommand:
     @pytest.mark.slow
     def test_every_set_waits_as_suits_it_best(self, capsys):
         args = ["design", "--scene", "handover_anywhere", *FEW, "--starts", "8", "--test-starts", "8"]
+        args += ["--taxels", "2", "--env", "mpl", "--start-closing"]
         rows = {}
         for waits in ("0.2", "0.35", "0.2 0.35"):
-            assert main([*args, "--taxels", "2", "--start-closing", *waits.split(), "--json"]) == 0
-            found = json.loads(capsys.readouterr().out)["rows"]
+            found = json.loads(printed(capsys, [*args, *waits.split(), "--json"]))["rows"]
             rows[waits] = {row["layout"]: row for row in found}
-        alone = [rows[wait]["chosen"]["chosen_from"] for wait in ("0.2", "0.35")]
-        assert alone[0] != alone[1]
-        best = str(rows["0.2 0.35"]["chosen"]["start_closing"])
-        assert (
-            rows["0.2 0.35"]["chosen"]["chosen_from"]
-            == rows[best]["chosen"]["chosen_from"]
-            == max(alone)
-        )
-        assert rows["0.2 0.35"]["chosen"]["success"] == rows[best]["chosen"]["success"]
-        args += ["--start-closing", "0.35", "--env", "mpl", "--simulator", "mujoco", "--out", "c.toml"]
-        assert main(args) == 0
-        said = capsys.readouterr().out
-        assert "waits at" in said
-        assert (
-            "train --scene handover_anywhere --env mpl --simulator mujoco --layout c.toml "
-            "--start-closing 0.35"
-        ) in said
+        both = rows["0.2 0.35"]["chosen"]
+        assert both == rows[str(both["start_closing"])]["chosen"]
+        assert "waits at" in printed(capsys, [*args, "0.35"])
 
     @pytest.mark.parametrize(
         ("args", "named"),
         [
             (["--start-closing", "1"], "start_closing: found 1.0, allowed [0, 1)"),
             (["--scene"], "scene: found none"),
-            (["--scene", "handover", "handover"], "scene: found handover 2 times, allowed once"),
-            (["--taxel-threshold", "0.1", "0.10"], "taxel_threshold: found 0.1 2 times"),
-            (["--start-closing", "0.3", "0.3"], "start_closing: found 0.3 2 times, allowed once"),
             (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found 0.3, allowed"),
             (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
@@ -472,20 +409,17 @@ class TestCommand:
             (["--beside", "9"], "unknown layout '9'"),
             (["--keep", "gone.toml"], "gone.toml"),
             (["--scene", "foot"], "scene: found 'foot'"),
-            (["--scene", "faulty.toml"], "found faulty.toml with taxel_dead 0.1, allowed 0"),
+            (["--scene", "faulty.toml"], "found faulty.toml, where touch is off or taxels"),
             (["--survives", "toe"], "survives: found 'toe', allowed taxel, digit, segment"),
             (["--survives", "gone.toml"], "gone.toml"),
             (["--margin", "30"], "skin: found no place of 4mm"),
-            (["--taxel-threshold", "0", "1", "--out", "x.toml"], "--out: found with 2 of"),
+            (["--taxel-threshold", "0", "1", "--out", "x.toml"], "--out: found with 2 sensors or"),
             (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
-            (["--env", "foot"], "env: found 'foot'"),
-            (["--taxels", "1..2", "--out", "x.toml"], "--out: found 'x.toml'"),
+            (["--env", "foot"], "unknown hand 'foot'; allowed: shadow"),
             (["--out", "x.png"], "--out: found 'x.png'"),
             (["--out", "mine.toml"], "it is there already"),
             (["--out", "gone/x.toml"], "found no folder 'gone'"),
             (["--sensor", "gone"], "sensor: found 'gone'"),
-            (["--sensor", "fsr", "fsr"], "sensor: found fsr 2 times, allowed once"),
-            (["--sensor", "fsr", "switch", "--out", "x"], "--out: found with 2 of --sensor"),
             (["--budget", "100"], "budget: found 100.0, allowed with a --sensor that has a [cost]"),
             (["--budget", "nan", "--sensor", "fsr"], "budget: found nan"),
             (["--budget", "0", "--sensor", "fsr"], "budget: found 0.0, allowed (0, inf)"),
@@ -513,23 +447,14 @@ class TestCommand:
         )
         Path("hard.toml").write_text("[sensor]\nthreshold_N = 99.0\n[cost]\neach = 20.0\n")
         args = ["design", "--scene", "handover", *FEW, "--boards", "segment", "--budget", "40"]
-        assert main([*args, "--sensor", "pad.toml", "hard.toml", "--json"]) == 0
-        found = json.loads(capsys.readouterr().out)
-        assert [row["sensor"] for row in found["rows"] if row["layout"] == "no touch"] == [
-            "pad",
-            "hard",
-        ]
-        chosen = [row for row in found["rows"] if row["layout"] == "chosen"]
-        assert (chosen[0]["price"], chosen[-1]["price"]) == (16, 20)
-        assert chosen[0]["success"] > chosen[-1]["success"] == 0
-        said = found["verdict"]
+        assert main([*args, "--sensor", "pad.toml", "hard.toml"]) == 0
+        said = " ".join(capsys.readouterr().out.split())
         assert "Touch does not pay with hard at 99 N: with 1 taxel for 20 chosen" in said
-        assert "Best set of hard, success less that of pad in the same starts: -" in said
-        assert main([*args, "--sensor", "pad.toml", "--out", "best.toml"]) == 0
-        best = layouts.load("best.toml").place(hands.get("mpl"))
+        assert "Best set with hard at 99 N, success less that with pad in the same starts: -" in said
+        assert main([*args, "--sensor", "pad.toml", "--out", "best"]) == 0
+        found = json.loads(Path("best/design.json").read_text())
+        assert found["sensor"] == "pad"
+        chosen = [row for row in found["rows"] if row["layout"] == "chosen"]
+        assert chosen[0]["price"] == 16
+        best = layouts.load(f"best/design_{chosen[-1]['price']:g}.toml").place(hands.get("mpl"))
         assert {*best.radii} == {4e-3}
-        drawing = Path("best.svg").read_text()
-        assert drawing.count("<circle") == len(best) == drawing.count("diameter 8 mm")
-        assert "palm, under the" in drawing
-        assert 'width="144.4mm"' in drawing
-        assert 'viewBox="-6 ' in drawing  # so that a unit is a millimetre

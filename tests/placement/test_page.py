@@ -48,25 +48,23 @@ def design(request):
     flags = DesignFlags(
         scene=("handover",), skin="6mm", survives=request.param, start_closing=(0.2, 0.3)
     )
-    [pool], rng = Pool.of(flags), np.random.default_rng(0)
+    pool, rng = Pool.of(flags), np.random.default_rng(0)
     if request.param:
         boards = groups_of("digit", pool.hand, pool.skin, "boards").members.argmax(axis=0)
         flags = dataclasses.replace(flags, budget=100.0)
         pool = dataclasses.replace(pool, flags=flags, prices=Prices(Cost(6.0, 40.0, 2), boards))
     recorded = [{wait: played(rng, len(pool.skin)) for wait in flags.start_closing} for _ in range(2)]
-    judge = choice.Judge(*recorded, pool)
-    rows = [judge.row("chosen", pool.columns[:3])]
+    judge = choice.Judge(pool, *recorded)
+    chosen = judge.row("chosen", pool.whole[:3])
     if request.param:
-        rows[0] = dataclasses.replace(rows[0], price=98.0)
-    use = choice.Use(None, None, 0.2, "timed", 0.2)
-    rows.append(choice._without(use, len(judge)))
-    sets = {98.0 if request.param else 3: pool.columns[:3]}
-    return choice.Design(pool, *recorded, sets, None, rows, [use]), judge
+        chosen = dataclasses.replace(chosen, price=98.0)
+    sets = {98.0 if request.param else 3: pool.whole[:3]}
+    return choice.Design(judge, sets, [choice.Row("no touch", 0, 0.2, 0.0, 0.2), chosen], "timed")
 
 
 @pytest.fixture
 def browser(design, tmp_path, request):
-    (tmp_path / "design.html").write_bytes(page.page(design[0]))
+    (tmp_path / "design.html").write_bytes(page.page(design))
     width = getattr(request, "param", 1000)
     browser = Browser(f"file://{tmp_path / 'design.html'}", width, READY)
     yield browser
@@ -76,10 +74,10 @@ def browser(design, tmp_path, request):
 @needs_chromium
 class TestPage:
     def test_sets_have_pythons_numbers(self, design, browser):
-        (design, judge), rng = design, np.random.default_rng(1)
+        judge, rng = design.judge, np.random.default_rng(1)
         browser.click("#clear")
         for n in rng.integers(1, 12, 15):
-            taxels = sorted(rng.choice(design.pool.columns, n, replace=False).tolist())
+            taxels = sorted(rng.choice(design.pool.whole, n, replace=False).tolist())
             browser.click("#clear")
             for taxel in taxels:
                 browser.click(f'[data-taxel="{taxel}"] circle')
@@ -92,7 +90,7 @@ class TestPage:
             assert browser.run("location.hash") == f"#t={'.'.join(map(str, taxels))}"
         browser.click("#kill")
         browser.click(f'[data-taxel="{taxels[0]}"] circle')
-        starts = design.test[expected.start_closing]
+        starts = judge.test[expected.start_closing]
         assert own(browser)["success"] == pytest.approx(cover.value(starts, taxels[1:]))
         text = browser.run("layoutFile()")
         saved = layouts.load(text).place(design.pool.hand)
@@ -106,7 +104,7 @@ class TestPage:
         )
         assert "no touch" in browser.run(TEXT.format("results"))
         number, unit = (browser.run(TEXT.format(name)) for name in ("number", "unit"))
-        is_priced = bool(design[0].pool.prices)
+        is_priced = bool(design.pool.prices)
         assert (number, unit) == (("98 for 3", "price") if is_priced else ("3", "number of taxels"))
         assert browser.run("document.querySelectorAll('#legend-of-set li').length") == 3
         sizes = "[...document.querySelectorAll('#map .chosen circle')].map(x => x.r.baseVal.value)"
@@ -116,7 +114,7 @@ class TestPage:
         browser.click("#clear")
         spacing = 6 * browser.run("document.getElementById('map').getScreenCTM().a")
         assert spacing >= 24  # px, as WCAG wants of what is tapped
-        browser.click(f'[data-taxel="{design[0].pool.free[40]}"] circle')
+        browser.click(f'[data-taxel="{design.pool.whole[40]}"] circle')
         assert own(browser)["taxels"] == 1
         browser.click("#clear")
         browser.run("document.querySelector('#map [tabindex=\"0\"]').focus()")
@@ -138,7 +136,9 @@ class TestPage:
         panel = browser.run(look.format("#map rect", "fill"))
         assert min(contrast(dot, panel), contrast(chosen, panel)) >= 3.0
         browser("Emulation.setEmulatedMedia", media="print")
-        left, right, *_ = Unrolled(design[0].pool.hand).extent
+        ruler = "[...document.querySelectorAll('.printed')].at(-2).getBoundingClientRect().width"
+        assert browser.run(ruler) == pytest.approx(50 * 96 / 25.4, abs=1.0)  # as it says, and so all is
+        left, right, *_ = Unrolled(design.pool.hand).extent
         printed = browser.run("document.getElementById('map').getBoundingClientRect().width")
         assert printed == pytest.approx(96 / 25.4 * (right - left), abs=0.5)  # a mm is one on paper
 

@@ -19,10 +19,9 @@ from one_line import fails_with
 FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 
 
-def found(**rates):
-    return [
-        HandResult(name, Reflex("time", 0, 1), rate, (0.0, 1.0), 100) for name, rate in rates.items()
-    ]
+def found(n=100, **rates):
+    reflex = Reflex("time", 0, 1)
+    return [HandResult(name, "6", 0.3, reflex, rate, (0, 1), n) for name, rate in rates.items()]
 
 
 @pytest.mark.parametrize(
@@ -35,9 +34,12 @@ def found(**rates):
     ],
 )
 def test_what_touch_can_win_of_what_there_is(timed, joints, touch, sighted, words):
-    results = found(timed=timed, joints=joints, touch=touch, sighted=sighted)
-    said = gate.Comparison(results, [(setup("mpl", task="handover"), results[2])]).sentences()
-    assert all(word in " ".join(said) for word in words)
+    rates = dict(timed=timed, joints=joints, touch=touch, sighted=sighted)
+    said = " ".join(gate.sentences(setup("mpl", task="handover"), found(**rates)))
+    assert all(word in said for word in words)
+    assert "Few" not in said
+    said = gate.sentences(setup("mpl", task="handover"), found(n=3, **rates))
+    assert "Few starts were judged (3): they cannot tell a difference of 0.3; play 40 or more." in said
 
 
 def test_another_seed_has_other_starts_and_every_episode_is_counted(monkeypatch):
@@ -108,14 +110,15 @@ def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_
     several = ["--taxel-threshold", "0", "0.4"]
     assert main(["gate", "--scene", "handover", *several, *FEW, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    rates = {row["name"]: row["rate"] for row in said["reflexes"]}
+    rates = {row["name"]: row["rate"] for row in reversed(said["reflexes"])}
     assert set(rates) == {"timed", "joints", "active", "touch", "sighted"}
     assert min(rates["touch"], rates["sighted"]) > 0.7
     assert max(rates["timed"], rates["joints"]) < 0.6
     assert said["verdict"].startswith("Touch pays (0 N): it closes 0.")
     assert " Touch does not pay (0.4 N): it closes 0." in said["verdict"]
-    by_threshold = {row["taxel_threshold"]: row["rate"] for row in said["touch"]}
-    assert by_threshold[0.0] == rates["touch"] > 0.6 > by_threshold[0.4]
+    soft, firm = (row for row in said["reflexes"] if row["name"] == "touch")
+    assert (soft["taxel_threshold"], firm["taxel_threshold"]) == (0.0, 0.4)
+    assert soft["rate"] > 0.6 > firm["rate"]
 
 
 @pytest.mark.parametrize(
@@ -126,18 +129,16 @@ def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_
     ],
 )
 def test_what_to_try_where_touch_does_not_pay(task, what):
-    variant = setup("mpl", task=task, layout="6", sensor="fsr", taxel_threshold=0.3)
-    results = found(timed=0.2, touch=0.49, sighted=0.9)
-    others = found(touch=0.5)  # which is just enough
-    said = gate.Comparison(results, [(variant, results[1])]).sentences()
+    scene = setup("mpl", task=task, sensor="fsr")
+    said = gate.sentences(scene, found(timed=0.2, touch=0.49, sighted=0.9))
     assert said[0].startswith("Touch does not pay: ")
     assert said[1].startswith(what)
-    assert len(gate.Comparison(results, [(variant, others[0])]).sentences()) == 1
+    assert len(gate.sentences(scene, found(timed=0.2, touch=0.5, sighted=0.9))) == 1  # just enough
 
 
-def test_several_layouts():
-    values = flags.several(["--json", "--layout", "1", "3", "--seed", "1"], "--layout")
-    assert values == (["1", "3"], ["--json", "--seed", "1", "--layout", "1"])
+def test_several_values():
+    values = flags.several(["--json", "--layout", "1", "3", "--seed", "1"], "--layout", float)
+    assert values == ([1, 3], ["--json", "--seed", "1", "--layout", "1.0"])
 
 
 @pytest.mark.parametrize(
@@ -147,7 +148,7 @@ def test_several_layouts():
         (["--seed", "-1"], "seed: found -1"),
         (["--env", "lqr"], "env: found 'lqr'"),
         (["--layout"], "--layout: expected at least one argument"),
-        (["--taxel-threshold", "0", "firm"], "taxel_threshold: found 'firm', allowed numbers"),
+        (["--taxel-threshold", "0", "firm"], "--taxel-threshold: invalid float value: 'firm'"),
         (["--scene", "handover", "--touch", "off"], "--touch: leave it out"),
     ],
 )
