@@ -11,7 +11,18 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ["envs", "algos", "version", "errors", "files", "machine", "statistics", "style", "terminal"]
 ROOMS += ["runs", "scripted", "pictures", "placement", "import_hand", "study", "commands", "api"]
 ROOMS += ["", "__main__"]
-BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "import_hand", "api", "", "__main__"}
+BESIDE = {
+    "version",
+    "errors",
+    "files",
+    "machine",
+    "statistics",
+    "style",
+    "import_hand",
+    "api",
+    "",
+    "__main__",
+}
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
