@@ -16,7 +16,7 @@ import torch
 from tactilerl.algos import ALGORITHMS, Count, LearnerSpec, Positive32, rollout
 from tactilerl.algos.learner import Learner, LearnerConfig, restore
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.networks import MLP, require_hidden
+from tactilerl.algos.networks import MLP
 from tactilerl.algos.policy import (
     FlatInputs,
     Noise,
@@ -46,7 +46,6 @@ class CEMConfig(LearnerConfig):
 
     def validate(self) -> None:
         """Raise ValueError where values do not go together."""
-        require_hidden(self.hidden)
         if not 2 <= self.n_elite <= self.population:
             raise ValueError(
                 f"n_elite: found {self.n_elite}, allowed 2 to {self.population}"

@@ -24,7 +24,7 @@ BESIDE = {
     "__main__",
 }
 ALLOWED = {
-    "mujoco": ("envs/simulators/", "envs/hands/"),
+    "mujoco": ("envs/simulators/", "envs/hands/", "tactilerl/import_hand.py"),
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
     "dask": ("tactilerl/study/executors.py",),

@@ -37,7 +37,7 @@ def ship(run: Path, folder: Path) -> None:
     for name in (source.config_file.name, source.table.name, LAYOUT_COPY):
         if (run / name).exists():
             with files.replacing(folder / name) as file:
-                file.write(files.read_whole(run / name))
+                file.write((run / name).read_bytes())
 
 
 def main() -> int:

@@ -46,6 +46,10 @@ class Parts:
     file: HandFile
     folder: Path
 
+    def __reduce__(self) -> Any:
+        """Return what a copy is made from; MuJoCo's specs, which cannot be copied, it makes anew."""
+        return Parts, (self.file, self.folder)
+
     # -- the model
 
     @property

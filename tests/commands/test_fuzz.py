@@ -98,7 +98,7 @@ def tried(capsys):
         out, err = capsys.readouterr()
         assert "Traceback" not in out + err, (what, args, err)
         assert code in (0, 1, 2), (what, code)
-        if code:
+        if err:
             is_line = err.startswith("tactilerl: ") and err.count("\n") == 1
             assert is_line or "For full helptext" in err, (what, err)
         counts[code] += 1

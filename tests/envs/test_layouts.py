@@ -106,7 +106,7 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[]"), "needs either offsets_mm or rows"),
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
-        ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found a number of"),
+        ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found 9999"),
         ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),
         ("[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1.foo: unknown"),
         (
