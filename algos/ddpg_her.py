@@ -32,7 +32,7 @@ from . import (
 )
 from .learner import Learner, LearnerConfig, RewardScale
 from .networks import MLP, flushed_denormals
-from .normalizer import Normalizer, Scaling
+from .normalizer import MIN_STD, Normalizer, Scaling
 from .policy import (
     Policy,
     Spaces,
@@ -88,6 +88,10 @@ class DDPGHERConfig(LearnerConfig):
     """Bound on observations and goals before they are normalized."""
     norm_clip: Positive32 = 5.0
     """Bound on observations and goals after they are normalized."""
+    min_std: Positive32 = MIN_STD
+    """Smallest standard deviation that an observation is divided by, in its own unit. Around 1, what
+    hardly varies stays small, such as the noise of a joint that stands still; otherwise it is scaled up
+    until it counts as much as what matters."""
     taxel_scale: TaxelScale = "each"
     """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
     gain for all, so that together they count as much as 24 normalized inputs, however many they
@@ -516,11 +520,17 @@ class DDPGHER(Learner):
         generator: torch.Generator,
     ) -> dict[str, Any]:
         space: Any = spaces.observation
-        clip, scale = config.norm_clip, config.taxel_scale
         return {
             "actor": new_actor(config.hidden, spaces, generator),
-            "obs_stats": input_stats(space["observation"], comm, clip, True, scale),
-            "goal_stats": Normalizer(goal_size(space), comm, clip),
+            "obs_stats": input_stats(
+                space["observation"],
+                comm,
+                config.norm_clip,
+                True,
+                config.taxel_scale,
+                config.min_std,
+            ),
+            "goal_stats": Normalizer(goal_size(space), comm, config.norm_clip),
         }
 
     @staticmethod

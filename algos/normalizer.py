@@ -13,7 +13,7 @@ from . import Array, Communicator
 
 ARRAYS, NUMBERS = ("as_is", "block", "mean", "squares"), ("count", "block_squares")
 MIN_STD = 0.01
-"""Floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
+"""Default floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
 BLOCK_NORM = 24.0
 """Mean squared norm that a block of columns is given: that of as many standardized columns."""
 PRIOR_ROWS = 1000
@@ -57,9 +57,10 @@ class Normalizer:
         clip: float = math.inf,
         as_is: Array | None = None,
         block: Array | None = None,
+        min_std: float = MIN_STD,
     ) -> None:
         nothing = np.zeros(size, bool)
-        self.comm, self.clip = comm, clip
+        self.comm, self.clip, self.min_std = comm, clip, min_std
         self.as_is = nothing if as_is is None else as_is
         self.block = nothing if block is None else block
         self.count = 0.0
@@ -69,12 +70,12 @@ class Normalizer:
 
     @property
     def std(self) -> Array:
-        """Divisor of each column, float64 (size,): at least `MIN_STD`, 1 before the first update."""
+        """Divisor of each column, float64 (size,): at least `min_std`, 1 before the first update."""
         is_new = self.count == 0
         variance = np.ones_like(self.mean) if is_new else self.squares / self.count
         norm = (PRIOR_ROWS + self.block_squares) / (PRIOR_ROWS + self.count)
         variance = np.where(self.block, norm / BLOCK_NORM, variance)
-        return np.where(self.as_is, 1.0, np.maximum(np.sqrt(variance), MIN_STD))
+        return np.where(self.as_is, 1.0, np.maximum(np.sqrt(variance), self.min_std))
 
     def update(self, batch: Array) -> None:
         """Take in the rows (n, size) that each rank has; every rank must call it, n may be 0."""

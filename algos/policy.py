@@ -125,17 +125,18 @@ def input_stats(
     clip: float,
     normalize: bool,
     taxel_scale: TaxelScale,
+    min_std: float,
 ) -> Normalizer:
     """Return moments of flat observations, before anything was seen.
 
     Entries between 0 and 1, such as Boolean taxels, are scaled as `taxel_scale` says (see
-    `PPOConfig.taxel_scale`), all others where `normalize` is true.
+    `PPOConfig.taxel_scale`), all others where `normalize` is true. None is divided
+    by less than `min_std`.
     """
     taxels = may_be_boolean(space)
     as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalize))
-    return Normalizer(
-        len(taxels), comm, clip, as_is, block=taxels & (taxel_scale == "block")
-    )
+    block = taxels & (taxel_scale == "block")
+    return Normalizer(len(taxels), comm, clip, as_is, block, min_std)
 
 
 class Policy:

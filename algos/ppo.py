@@ -29,6 +29,7 @@ from .learner import (
     states,
 )
 from .networks import MLP, flushed_denormals, start_orthogonal
+from .normalizer import MIN_STD
 from .policy import (
     FlatInputs,
     Noise,
@@ -97,6 +98,10 @@ class PPOConfig(LearnerConfig):
     normalize_obs: bool = False
     """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
     Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
+    min_std: Positive32 = MIN_STD
+    """Smallest standard deviation that an observation is divided by, in its own unit. Around 1, what
+    hardly varies stays small, such as the noise of a joint that stands still; otherwise it is scaled up
+    until it counts as much as what matters."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
     all, so that together they count as much as 24 normalized inputs, however many they are; each:
@@ -549,8 +554,14 @@ class PPO(Learner):
     ) -> dict[str, Any]:
         actor = new_actor(config.hidden, spaces, generator)
         gaussian = Gaussian(action_size(spaces.action), config.action_variance)
-        scales = OBS_CLIP, config.normalize_obs, config.taxel_scale
-        stats = input_stats(spaces.observation, comm, *scales)
+        stats = input_stats(
+            spaces.observation,
+            comm,
+            OBS_CLIP,
+            config.normalize_obs,
+            config.taxel_scale,
+            config.min_std,
+        )
         return {"actor": actor, "gaussian": gaussian, "obs_stats": stats}
 
     @staticmethod

@@ -334,6 +334,11 @@ class TestUpdate:
         torch.testing.assert_close([p.grad for p in learner.critic_parameters], [*of_critic])
         torch.testing.assert_close(got, torch.stack([critic_loss, actor_loss, value]).detach())
 
+    def test_the_floor_is_of_observations_not_of_goals(self):
+        learner = trained(1, make(GoalEnv(), min_std=7.0))
+        assert (learner.obs_stats.std == 7.0).all()
+        assert (learner.goal_stats.std < 7.0).all()
+
     def test_what_is_observed_is_cut_before_it_is_normalized(self):
         learner = trained(1, make(GoalEnv(scale=1e3), clip_obs=50.0))
         batch = learner.replay.sample(64, 0.8)

@@ -28,6 +28,15 @@ def test_constant_columns_do_not_explode():
     assert (stats.scaling()(torch.tensor([[3.0, 1e8]])) == 0).all()
 
 
+def test_what_varies_less_than_the_floor_stays_small():
+    """As a joint that stands still, whose sensor's noise would count as much as a finger that closes."""
+    rows = np.random.default_rng(0).standard_normal((2000, 2)) * [0.05, 3.0]
+    stats = Normalizer(2, Communicator(), min_std=1.0)
+    stats.update(rows)
+    seen = stats.scaling()(torch.from_numpy(rows.astype(np.float32)))
+    assert seen.std(dim=0).tolist() == pytest.approx([0.05, 1.0], rel=0.05)
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_a_column_that_explodes_spoils_nothing(kind):
     """Up to the largest float32, beside a calm column; moments as float64 has them."""

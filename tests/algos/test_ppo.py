@@ -269,6 +269,15 @@ class TestLearning:
         rare = np.array([7.0, 7.0, 1.0], np.float32)
         assert np.array_equal(again.act(rare), ppo.policy().act(rare))
 
+    @pytest.mark.parametrize(("floor", "spread"), [(0.01, 1.0), (10.0, 0.2)])
+    def test_observations_are_divided_by_a_floor_at_least(self, floor, spread):
+        def obs(rng):
+            return rng.normal(7.0, 2.0, 3).astype(np.float32)
+
+        ppo = trained(make_ppo(scripted(obs=obs), normalize_obs=True, min_std=floor), 1)
+        ppo.collect()
+        assert ppo._batch()[0].std().item() == pytest.approx(spread, rel=0.2)
+
     def test_what_acts_is_what_learns(self):
         """Old log-probabilities are those of the noise that was drawn."""
         ppo = trained(make_ppo(scripted(), **ROBUST), 2)
