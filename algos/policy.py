@@ -15,7 +15,7 @@ from torch import Tensor
 
 from . import Array, Communicator, DivergenceError
 from .networks import MLP
-from .normalizer import Normalizer, Scaling
+from .normalizer import MIN_STD, Normalizer, Scaling
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 OBS = "an observation of the environment"
@@ -125,7 +125,7 @@ def input_stats(
     clip: float,
     normalize: bool,
     taxel_scale: TaxelScale,
-    min_std: float,
+    min_std: float = MIN_STD,
 ) -> Normalizer:
     """Return moments of flat observations, before anything was seen.
 
