@@ -29,7 +29,7 @@ def test_constant_columns_do_not_explode():
 
 
 def test_what_varies_less_than_the_floor_stays_small():
-    """As a joint that stands still, whose sensor's noise would count as much as a finger that closes."""
+    """As the noise of a joint that stands still, which would count as much as a finger that closes."""
     rows = np.random.default_rng(0).standard_normal((2000, 2)) * [0.05, 3.0]
     stats = Normalizer(2, Communicator(), min_std=1.0)
     stats.update(rows)

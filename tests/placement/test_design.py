@@ -440,6 +440,7 @@ class TestCommand:
         names = {"mine.toml", "all.toml", "faulty.toml", "two.toml"}
         assert {path.name for path in Path().iterdir()} == names
 
+    @pytest.mark.slow
     def test_a_budget(self, capsys):
         """Two sensors on the same starts, the best set that money buys, where touch does not pay."""
         Path("pad.toml").write_text(

@@ -1,10 +1,14 @@
 """Taxels as places, and the skin of a whole hand."""
 
 import numpy as np
+import pytest
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures import places
 
+ALL = ["mpl", *(pytest.param(hand, marks=pytest.mark.slow) for hand in ("shadow", "allegro"))]
 
+
+@pytest.mark.parametrize("hand", ALL)
 class TestPlaces:
     def test_a_layout_written_from_its_places_is_the_same_layout(self, hand, tmp_path):
         hand = hands.get(hand)

@@ -105,6 +105,7 @@ class TestReflexes:
         assert env.task.sets_off < went < env.task.sets_off + env.task.stays
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_reflexes")
 def test_in_a_handover_touch_decides_until_its_threshold_is_more_than_the_giver_presses_with(capsys):
     several = ["--taxel-threshold", "0", "0.4"]
