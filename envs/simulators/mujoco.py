@@ -397,23 +397,6 @@ class MujocoSimulator(Simulator):
         """Set the impedance: a soft contact that sticks moves at friction force / impedance."""
         self.model.opt.impratio = self._impratio / factor
 
-    def jacobian_error(self) -> float:
-        """Return how far accelerations now depend on how Jacobians are kept, as a share of the largest.
-
-        A sparse Jacobian's are compared with a dense one's. MuJoCo 4.0.0 gives Newton a wrong Hessian
-        in some trees where it is sparse (google-deepmind/mujoco#3767), and so the wrong accelerations.
-        """
-        found, option, usual = [], self.model.opt, self.model.opt.jacobian
-        for kind in (mujoco.mjtJacobian.mjJAC_DENSE, mujoco.mjtJacobian.mjJAC_SPARSE):
-            data = mujoco.MjData(self.model)
-            mujoco.mj_copyData(data, self.model, self.data)
-            data.qacc_warmstart[:] = 0.0  # or both begin at the solution
-            option.jacobian = kind
-            mujoco.mj_forward(self.model, data)
-            found.append(data.qacc)
-        option.jacobian = usual
-        return float(np.abs(found[0] - found[1]).max() / np.abs(found[0]).max())
-
     def state(self) -> State:
         """Return what is true now."""
         data, body, start = self.data, self._object_body, self._object_qvel

@@ -31,9 +31,7 @@ def rollout(env, seed, n=6):
 SLOW = [pytest.param(*both, {}, marks=pytest.mark.slow) for both in BOTH[:-1]]
 
 
-@pytest.mark.parametrize(
-    ("hand", "simulator", "skin"), [*SLOW, (*BOTH[-1], {}), (*BOTH[-1], SOFT)]
-)
+@pytest.mark.parametrize(("hand", "simulator", "skin"), [*SLOW, (*BOTH[-1], {}), (*BOTH[-1], SOFT)])
 def test_an_episode_is_that_of_an_environment_made_for_its_object(hand, simulator, skin):
     """Bit for bit, whatever was in the scene before."""
     choices = dict(simulator=simulator, task="reach-goal", max_episode_steps=6, layout="1", **skin)
