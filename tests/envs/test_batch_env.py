@@ -177,8 +177,9 @@ def test_a_next_episode_is_the_one_of_grasp_env(autoreset: bool) -> None:
 
 
 def test_noise_after_a_reset_in_the_middle_is_the_one_of_grasp_env() -> None:
-    choices = dict(object_seen="noisy", joint_noise=0.02, layout="5", touch="on", taxel_false_on=0.3)
-    made: Any = envs.make("shadow", simulator="mujoco", task="reach-goal", **choices)
+    choices = dict(object_seen="noisy", joint_noise=0.02, layout="5", taxel_false_on=0.3)
+    reach: Any = dict(task="reach-goal", max_episode_steps=40, touch="on")
+    made: Any = envs.make("shadow", simulator="mujoco", **reach, **choices)
     first = made.unwrapped.config
     batch: Any = BatchEnv("shadow", [(first, 2)], "loop", autoreset=False)
     alone = [GraspEnv("shadow", first) for _ in "ab"]
