@@ -361,6 +361,7 @@ class Draws:
     """
 
     n_ahead = 1
+    """`AHEAD` as soon as a part remembers them."""
 
     def __init__(
         self, rngs: Array, which: Array, convert: Callable[[Any], Any] = np.asarray
@@ -368,6 +369,7 @@ class Draws:
         """Take the generators, and what makes of arrays what is wanted."""
         self.rngs, self.which, self._convert = rngs, which, convert
         self.left, self._rows = np.zeros(len(rngs), int), np.zeros(0)
+        """How many of the rows (n, n_rows, ...), drawn ahead, are still to be handed out."""
         self._asked: Any = None
 
     def at(self, worlds: Array) -> Draws:
@@ -392,15 +394,13 @@ class Draws:
         shape = len(self.left), n_rows, *asked[1:]
         if shape != self._rows.shape:
             if self.left.any():
-                raise ValueError(
-                    f"{name}: found after {self._asked[0]}, of one generator"
-                )
+                only = "allowed only from a generator of its own"
+                raise ValueError(f"{name}: found after {self._asked[0]}, {only}")
             self._rows = np.zeros(shape)
         self._asked = asked
         for i in np.flatnonzero(self.which & (self.left == 0)):
             draw = getattr(self.rngs[i], name)
             self._rows[i] = draw(*bounds, size=shape[1:], **options)
             self.left[i] = n_rows
-        drawn = self._rows[np.arange(len(self.left)), -self.left]
         self.left -= self.which
-        return self._convert(drawn)
+        return self._convert(self._rows[np.arange(len(self.left)), -1 - self.left])
