@@ -324,7 +324,7 @@ def _in_some(which: Array, things: Iterable[Any], act: Callable[[], T]) -> T:
     for _, values in before:
         for value in values.values():
             if isinstance(value, Draws):
-                value.which = which
+                value.which, value.n_ahead = which, AHEAD
     result = act()
     for thing, values in before:
         for name, value in vars(thing).items():
@@ -337,8 +337,9 @@ _REMEMBERED: Any = (bool, int, float, np.generic, np.ndarray, Tensor)
 
 def _where(which: Array, new: Any, old: Any) -> Any:
     """Return the new value of some worlds, and the old of the others."""
-    if isinstance(new, Draws):
-        new.rngs = np.where(which, new.rngs, old.rngs)
+    if isinstance(new, Draws) and new is not old:
+        old.rngs[which], old.left[which] = new.rngs[which], 0
+        return old
     if new is old or not isinstance(new, _REMEMBERED):
         return new
     mask: Any = which.reshape(-1, *[1] * (max(np.ndim(new), np.ndim(old)) - 1))
@@ -348,17 +349,28 @@ def _where(which: Array, new: Any, old: Any) -> Any:
     return np.where(mask, new, old)
 
 
+AHEAD = 32
+"""Control steps whose noise is drawn at once: the call of a generator costs more than the numbers."""
+
+
 class Draws:
     """NumPy's generators (n,), one for each of many episodes: what they draw has a leading axis.
 
-    Each draws the numbers of `GraspEnv`; those off `which`, bool (n,), draw none, and have zeros.
+    Each draws the numbers of `GraspEnv`; those off `which`, bool (n,), draw none: what they have means
+    nothing. What is asked for again and again, without bounds, may be drawn `n_ahead` times at once.
     """
+
+    n_ahead = 1
+    """`AHEAD` as soon as a part remembers them."""
 
     def __init__(
         self, rngs: Array, which: Array, convert: Callable[[Any], Any] = np.asarray
     ) -> None:
         """Take the generators, and what makes of arrays what is wanted."""
         self.rngs, self.which, self._convert = rngs, which, convert
+        self.left, self._rows = np.zeros(len(rngs), int), np.zeros(0)
+        """How many of the rows (n, n_rows, ...), drawn ahead, are still to be handed out."""
+        self._asked: Any = None
 
     def at(self, worlds: Array) -> Draws:
         """Return what draws for these of the episodes."""
@@ -376,7 +388,19 @@ class Draws:
         return partial(self._draw, name)
 
     def _draw(self, name: str, *bounds: Any, size: Any = (), **options: Any) -> Any:
-        whole = np.zeros((len(self.which), *np.empty(size).shape))
-        for i in np.flatnonzero(self.which):
-            whole[i] = getattr(self.rngs[i], name)(*bounds, size=size, **options)
-        return self._convert(whole)
+        asked = name, *np.empty(size).shape
+        is_again = asked == self._asked and not (bounds or options)
+        n_rows = self.n_ahead if is_again else 1
+        shape = len(self.left), n_rows, *asked[1:]
+        if shape != self._rows.shape:
+            if self.left.any():
+                only = "allowed only from a generator of its own"
+                raise ValueError(f"{name}: found after {self._asked[0]}, {only}")
+            self._rows = np.zeros(shape)
+        self._asked = asked
+        for i in np.flatnonzero(self.which & (self.left == 0)):
+            draw = getattr(self.rngs[i], name)
+            self._rows[i] = draw(*bounds, size=shape[1:], **options)
+            self.left[i] = n_rows
+        self.left -= self.which
+        return self._convert(self._rows[np.arange(len(self.left)), -1 - self.left])

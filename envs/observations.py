@@ -179,6 +179,7 @@ TERMS = {
 # What stages, joints and sight remember of an episode are attributes that `reset` sets, as all the
 # episodes of a batch may have them: numbers, or arrays with the leading axes of what they are told.
 # Random numbers are drawn with the keyword `size`, which leaves leading axes out (`batch.Draws`).
+# A batch draws ahead what is asked for step after step: that generator then gives nothing else.
 
 
 _NOTHING_YET: Any = np.nan
