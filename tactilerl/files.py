@@ -32,7 +32,7 @@ def damage_named(
     """
     try:
         yield
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         if not missing:
             raise
         raise InputError(missing) from None

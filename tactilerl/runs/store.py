@@ -195,10 +195,16 @@ class RunDir:
 
     def append(self, *rows: dict[str, Any]) -> None:
         """Add rows to the table, on disk; the first row decides the columns."""
-        is_new = not self.table.exists()
-        with open(self.table, "a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-            if is_new:
+        with open(self.table, "a+", newline="", encoding="utf-8") as file:
+            file.seek(0)
+            columns = next(csv.reader(file), None)
+            writer = csv.DictWriter(
+                file,
+                columns or list(rows[0]),
+                extrasaction="ignore",
+                lineterminator="\n",
+            )
+            if columns is None:
                 writer.writeheader()
             writer.writerows(rows)
             file.flush()
@@ -212,8 +218,17 @@ class RunDir:
             return parse(self.table.read_text(encoding="utf-8"))
 
     def cut(self, epoch: int) -> None:
-        """Drop the rows that were written after the checkpoint of `epoch`, if there are some."""
-        kept = sum(int(row["epoch"]) <= epoch for row in self.rows())
+        """Drop the rows that were written after the checkpoint of `epoch`, if there are some.
+
+        InputError where rows before it are missing; a table that is missing begins anew.
+        """
+        epochs = [int(row["epoch"]) for row in self.rows()]
+        if epochs and epochs[-1] < epoch:
+            raise InputError(
+                f"{self.table}: found epochs up to {epochs[-1]}, the checkpoint's is {epoch}; put back "
+                "the table that belongs to it, or move this one away to continue with a new one"
+            )
+        kept = sum(one <= epoch for one in epochs)
         if not kept:  # so that a header that was cut off does not stay
             self.table.unlink(missing_ok=True)
             return

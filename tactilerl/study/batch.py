@@ -141,7 +141,6 @@ def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list
             folder,
             tuple(run for one in batches[k::n_jobs] for run in one.runs),
             n_batches=-(-n // n_jobs),
-            cwd=Path.cwd(),
         )
         for k in range(n_jobs)
     ]

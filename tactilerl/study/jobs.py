@@ -31,7 +31,7 @@ from .records import StudyFiles
 
 ATTEMPTS = 2
 LOCK_WAIT = 0.5  # s; who only looks at a lock has it for an instant
-INTERRUPTED = 130, -signal.SIGINT
+INTERRUPTED = 130, -signal.SIGINT, -signal.SIGTERM
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # The first thing that a run's process does: from then on it ends with its parent.
@@ -114,8 +114,15 @@ def run_all(
     """Make runs done, in order; `on_end` is told each run that ended, whatever became of it."""
     waiting = {pool.submit(make_done, job): job for job in jobs}
     for future in concurrent.futures.as_completed(waiting):
-        future.result()
-        for run in waiting[future].runs:
+        job, error = waiting[future], future.exception()
+        is_deadly = type(error).__name__ == "KilledWorker"  # Dask's
+        if error is not None and not is_deadly:
+            raise error
+        for run in job.runs:
+            if is_deadly:
+                StudyFiles(job.folder).write_failure(
+                    run, f"it ended several workers: {error}"
+                )
             on_end(run)
 
 

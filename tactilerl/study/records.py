@@ -125,6 +125,8 @@ class StudyFiles:
                     config = json.loads(saved)
                     config["run"].pop("out", None)
                     rows = _table(self.read(f"{name}/progress.csv"))
+                    for row in rows:  # what is no number is damage
+                        [*map(float, filter(None, row.values()))]
                     planned = config["run"]["total_timesteps"]
                     planned = run.flags.get("total_timesteps", planned)
                     is_done = bool(rows) and int(rows[-1]["env_steps"]) >= planned
