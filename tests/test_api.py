@@ -365,6 +365,7 @@ class TestPolicy:
         assert actions.dtype == np.float64
         assert ((actions >= 5) & (actions <= 6)).all()
 
+    @pytest.mark.slow
     def test_loading_makes_no_environment_and_no_simulator(self):
         tactilerl.train("lqr", out="run", total_timesteps=1, **PPO)
         tactilerl.PPO("lqr", **PPO).save("policy.pt")

@@ -135,6 +135,7 @@ def test_a_run_is_trained_and_evaluated_with_import(capsys):
     fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
 
 
+@pytest.mark.slow
 def test_a_study_says_what_the_user_has_to_import(capsys, trained_here):
     lines = ['name = "s"', "[setups.cup]", f'scene = "{EXAMPLES / "own_task.toml"}"', "layout = 5"]
     lines += ["total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]

@@ -40,7 +40,7 @@ PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujo
 @pytest.mark.parametrize(
     ("hand", "simulator", "steps"),
     [
-        ("mpl", "pybullet", 8),
+        pytest.param("mpl", "pybullet", 8, marks=pytest.mark.slow),
         *(pytest.param(*pair, 25, marks=pytest.mark.slow) for pair in PAIRS),
     ],
 )

@@ -400,6 +400,7 @@ class TestOtherCommands:
         out = render(capsys, "a", *near[:4], "--episode", "7", "--video", "y.mp4")
         assert out == "y.mp4: no success\n"
 
+    @pytest.mark.slow
     def test_each_episode_of_an_evaluation_can_be_played_again_and_filmed(self, capsys):
         run, n = str(POLICIES / "handover_no_touch"), 6
         told = json.loads(printed(capsys, ["evaluate", run, "--episodes", n, "--json"]))

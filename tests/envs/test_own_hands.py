@@ -189,6 +189,7 @@ class TestTaxelFiles:
 
 
 class TestCommands:
+    @pytest.mark.slow
     def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys, monkeypatch):
         path, run = own("model =", '"model" ='), str(tmp_path / "run")
         points = tmp_path / "points.toml"

@@ -240,7 +240,7 @@ class TestMPL:
         assert moved == {"thumb", "little"}
 
 
-@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("simulator", ["mujoco", pytest.param("pybullet", marks=pytest.mark.slow)])
 def test_every_picture_has_the_size_of_its_camera(simulator):
     env = envs.make("shadow", layout="1", simulator=simulator, render_mode="rgb_array")
     env.reset(seed=0)

@@ -343,6 +343,7 @@ def test_a_set_that_was_chosen_by_chance_loses_in_other_starts(n, few):
 
 @pytest.mark.usefixtures("in_tmp", "few_reflexes")
 class TestCommand:
+    @pytest.mark.slow
     def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys, monkeypatch):
         examined, examine = [], gate.examine
 

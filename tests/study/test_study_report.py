@@ -70,6 +70,7 @@ def by_seed(group, score):
 
 
 class TestNumbers:
+    @pytest.mark.slow
     def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path, result):
         assert rows(result, "pybullet_measures")[0]["Tested success"].startswith("–")
         folder = make_study(tmp_path / "s", 'score = "test"\n' + PAPER_LIKE, n_seeds=2)
