@@ -219,13 +219,17 @@ class Replay:
 
     # -- saving ------------------------------------------------------------------------------
 
-    def new_experience(self) -> dict[str, Tensor]:
-        """Return the slots written since the last call, as tensors, for `add_experience`."""
-        if not self._unsaved:
+    def new_experience(self, everything: bool = False) -> dict[str, Tensor]:
+        """Return the slots written since the last call, or all; tensors, for `add_experience`.
+
+        All of it is a view, good until the next episode is stored.
+        """
+        written = range(self.n_episodes) if everything else dict.fromkeys(self._unsaved)
+        slots, self._unsaved = np.array([*written], np.int64), []
+        if not len(slots):
             return {}
-        slots = np.array([*dict.fromkeys(self._unsaved)], np.int64)
-        self._unsaved = []
-        parts: dict[str, Array] = {k: v[slots] for k, v in self._columns.items()}
+        rows: Any = slice(len(slots)) if everything else slots
+        parts: dict[str, Array] = {k: v[rows] for k, v in self._columns.items()}
         parts |= {"slots": slots, "lengths": self._lengths[slots]}
         return {name: torch.from_numpy(values) for name, values in parts.items()}
 

@@ -46,6 +46,9 @@ from .config import (
     from_dict,
 )
 
+REWRITE = (
+    2  # parts of an experience become one when they hold this many times a full replay
+)
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
 Row = dict[str, str]
@@ -267,11 +270,16 @@ def as_record(data: Any) -> Values:
 
 
 def parse(text: str) -> list[Row]:
-    """Return the rows of a progress.csv; a last line that was cut off does not count."""
+    """Return the rows of a progress.csv; a last line that was cut off does not count.
+
+    Raises an error of some kind where an entry is no number.
+    """
     whole = text[: text.rfind("\n") + 1]
     rows = [*csv.DictReader(io.StringIO(whole), strict=True)]
     for row in rows:
         int(row["epoch"]), int(row["env_steps"])
+        for entry in filter(None, row.values()):
+            float(entry)
     return rows
 
 
@@ -285,20 +293,35 @@ class Checkpoint:
         """Save the state of `learner`, one rank of `comm`, in a folder; nothing is written yet."""
         self.run_dir, self.learner, self.comm = run_dir, learner, comm
         self._epochs: list[int] = []  # whose experience is on disk
+        self._n_saved = 0  # episodes in this rank's parts of it
 
     def save(self, epoch: int) -> None:
         """Write the states of all ranks after `epoch`; every rank must call it."""
-        replay = self.learner.replay
-        if replay is not None and (added := replay.new_experience()):
-            make_folder(self.run_dir.experience_folder)
-            write_tensors(self._part(epoch), {"format": FORMAT, "experience": added})
-            self._epochs.append(epoch)
+        if self.learner.replay is not None:
+            self._save_experience(epoch)
         states = self.comm.all_gather(self.learner.state_dict())
         if self.comm.rank == 0:
             content = {"format": FORMAT, "epoch": epoch, "ranks": states}
             content["experience"] = self._epochs
             content["spaces"] = spaces_to_json(self.learner.spaces)
             write_tensors(self.run_dir.checkpoint_file, content)
+            for path in self.run_dir.experience_folder.glob("[0-9]*.pt"):
+                if int(path.stem.partition("-")[0]) not in self._epochs:
+                    path.unlink()
+
+    def _save_experience(self, epoch: int) -> None:
+        """Write what is new in this rank's replay, or all of it once its parts take too much room."""
+        replay = self.learner.replay
+        has_outgrown = self._n_saved > REWRITE * replay.n_slots
+        is_anew = any(self.comm.all_gather(has_outgrown))
+        added = replay.new_experience(everything=is_anew)
+        if is_anew:
+            self._epochs, self._n_saved = [], 0
+        if added:
+            make_folder(self.run_dir.experience_folder)
+            write_tensors(self._part(epoch), {"format": FORMAT, "experience": added})
+            self._epochs.append(epoch)
+            self._n_saved += len(added["slots"])
 
     def restore(self) -> int:
         """Load this rank's state and experience; return the epoch it was written after.
@@ -322,6 +345,7 @@ class Checkpoint:
             for epoch in self._epochs:
                 part = read_tensors(self._part(epoch), "experience", "format", FORMAT)
                 self.learner.replay.add_experience(part["experience"])
+                self._n_saved += len(part["experience"]["slots"])
         return int(data["epoch"])
 
     def _part(self, epoch: int) -> Path:

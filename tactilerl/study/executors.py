@@ -23,7 +23,6 @@ BATCH = {
     "htcondor": "HTCondor",
 }
 DASK = "dask:"
-LATER = "runs keep their last epochs, and go on when the study is run again"
 SIDE_BY_SIDE = 6  # batches on a GPU: one alone waits for itself
 
 
@@ -54,7 +53,7 @@ def start(
             pool.shutdown(wait=False, cancel_futures=True)
         return
     with extra("cluster"):
-        from dask.distributed import Client, KilledWorker
+        from dask.distributed import Client
     try:
         where: Any = on.removeprefix(DASK)
         if is_batch:
@@ -74,9 +73,10 @@ def start(
         try:
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
-            raise OSError(f"--on {on}: Dask's scheduler has gone; {LATER}") from error
-        except KilledWorker as error:
-            raise OSError(f"--on {on}: {error}; {LATER}") from error
+            raise OSError(
+                f"--on {on}: Dask's scheduler has gone; runs keep their last epochs, and go on when "
+                "the study is run again"
+            ) from error
 
 
 def cluster(on: str, ranks: int, walltime: str | None, memory: str | None) -> Any:

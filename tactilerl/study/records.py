@@ -11,7 +11,6 @@ study to another, with rsync for example. A packed file has the JSON and CSV fil
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import math
@@ -28,7 +27,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..files import as_json, damage_named, replacing, writable
-from ..runs.store import Row, RunDir
+from ..runs.store import Row, RunDir, parse
 from ..statistics import Array
 from .grid import Run, Study, from_dict
 
@@ -124,9 +123,7 @@ class StudyFiles:
                 if saved := self.read(f"{name}/config.json"):
                     config = json.loads(saved)
                     config["run"].pop("out", None)
-                    rows = _table(self.read(f"{name}/progress.csv"))
-                    for row in rows:  # what is no number is damage
-                        [*map(float, filter(None, row.values()))]
+                    rows = parse(self.read(f"{name}/progress.csv").decode())
                     planned = config["run"]["total_timesteps"]
                     planned = run.flags.get("total_timesteps", planned)
                     is_done = bool(rows) and int(rows[-1]["env_steps"]) >= planned
@@ -173,11 +170,6 @@ class StudyFiles:
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
         with replacing(self.path / STUDY) as file:
             file.write(as_json(study.as_dict()))
-
-
-def _table(data: bytes) -> list[Row]:
-    """Return the rows of a progress.csv; a last line that was cut off does not count."""
-    return [*csv.DictReader(io.StringIO(data[: data.rfind(b"\n") + 1].decode()))]
 
 
 def load(path: Path) -> tuple[Study, list[Record]]:

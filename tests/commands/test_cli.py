@@ -176,9 +176,12 @@ class TestResume:
         assert progress(Path("whole")) == progress(Path("killed"))
         assert same_checkpoint(Path("whole"), Path("killed"))
 
-    def test_a_full_replay_resumes_exactly(self):
+    def test_experience_is_rewritten_when_its_parts_outgrow_the_memory(self):
+        """A replay of eight episodes: its parts become one when they hold more than sixteen."""
         args = [*REACH, "--buffer-size", "200"]
         main([*args, "--total-timesteps", "700", "--out", "whole"])
+        parts = sorted(Path("whole/experience").glob("*.pt"))
+        assert 1 <= len(parts) < 7
         main([*args, "--total-timesteps", "300", "--out", "cut"])
         assert main(["train", "--resume", "cut", "--total-timesteps", "700"]) == 0
         assert same_checkpoint(Path("whole"), Path("cut"))
@@ -195,6 +198,24 @@ class TestResume:
         assert main(["train", "--resume", "cut", "--total-timesteps", "360"]) == 0
         assert progress(Path("whole")) == progress(Path("cut"))
         assert same_checkpoint(Path("whole"), Path("cut"))
+
+    def test_a_table_that_ends_before_the_checkpoint_is_refused_and_stays(self, capsys):
+        main([*TOY, "--total-timesteps", "240", "--out", "run"])
+        table = Path("run/progress.csv")
+        *rest, _ = table.read_text().splitlines(keepends=True)
+        table.write_text("".join(rest))
+        more = ["train", "--resume", "run", "--total-timesteps", "360"]
+        fails_with(capsys, more, "found epochs up to 1, the checkpoint's is 2")
+        assert table.read_text() == "".join(rest)
+
+    def test_rows_go_under_the_header_that_is_there(self):
+        main([*TOY, "--total-timesteps", "360", "--out", "whole"])
+        main([*TOY, "--total-timesteps", "240", "--out", "cut"])
+        table = Path("cut/progress.csv")
+        rows = [line.split(",") for line in table.read_text().splitlines()]
+        table.write_text("".join(",".join([*row[1:], row[0]]) + "\n" for row in rows))
+        assert main(["train", "--resume", "cut", "--total-timesteps", "360"]) == 0
+        assert progress(Path("whole")) == progress(Path("cut"))
 
     def test_length_counts_where_something_is_annealed(self, capsys):
         run = [*TOY, "--anneal-lr", "--total-timesteps", "1", "--out", "run"]

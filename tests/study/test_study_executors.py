@@ -38,8 +38,8 @@ def test_a_study_on_dask_learns_what_it_learns_here(tmp_path, trained_here):
     assert learned(out) == learned(trained(tmp_path / "local"))
 
 
-@pytest.mark.slow
-def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
+def study_whose_worker_is_killed(tmp_path):
+    """Exit code and folder of a study of one run, whose only Dask worker is killed in its midst."""
     import distributed
 
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
@@ -57,13 +57,31 @@ def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
         killer = threading.Thread(target=kill)
         killer.start()
         on = f"dask:{cluster.scheduler_address}"
-        assert main(["study", "run", str(write(tmp_path, LONG)), "--out", str(out), "--on", on]) == 0
+        code = main(["study", "run", str(write(tmp_path, LONG)), "--out", str(out), "--on", on])
         killer.join()
         assert killed not in [worker.pid for worker in cluster.workers.values()]
+    return code, out
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
+    code, out = study_whose_worker_is_killed(tmp_path)
+    assert code == 0
     (tmp_path / "local").mkdir()
     assert learned(out) == learned(trained(tmp_path / "local", LONG))
     (log,) = out.glob("runs/*.log")
     assert log.read_text().count("resumed") == 1
+
+
+@pytest.mark.slow
+def test_a_run_that_dask_gives_up_has_failed_and_does_not_end_the_study(tmp_path):
+    import dask
+
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        code, out = study_whose_worker_is_killed(tmp_path)
+    assert code == 1
+    (told,) = out.glob("runs/*.json")
+    assert json.loads(told.read_text())["reason"].startswith("it ended several workers: ")
 
 
 def test_no_scheduler_there(tmp_path, capsys):

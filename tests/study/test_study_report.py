@@ -172,6 +172,16 @@ class TestWarnings:
         file.write_text(file.read_text() + "26,30000,0.5")
         assert [len(record.rows) for record in records.load(folder.path)[1]] == [25] * 12
 
+    def test_what_is_no_number_costs_a_line(self, tmp_path, capsys):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        run = folder.study().runs()[0]
+        table = folder.run_dir(run).table
+        *rest, last = table.read_text().splitlines(keepends=True)
+        table.write_text("".join([*rest, last.replace("0.", "zero.")]))
+        reported(capsys, folder.path)
+        row = (folder.path / "report/tables/runs.csv").read_text().splitlines()[1]
+        assert f"runs/{run.name}: damaged (could not convert" in row
+
     def test_a_measure_that_no_run_has(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=1)
         for file in folder.path.rglob("progress.csv"):
