@@ -248,7 +248,8 @@ def read_text(path: Path, what: str) -> str:
     Raise ValueError where it is no UTF-8, and FileNotFoundError.
     """
     if not os.path.isfile(path):  # Path.is_file raises when a name is too long
-        raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
+        fault = "is a folder" if os.path.isdir(path) else "does not exist"
+        raise FileNotFoundError(f"{what} {str(path)!r} {fault}")
     return path.read_text(encoding="utf-8-sig")
 
 

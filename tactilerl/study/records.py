@@ -92,7 +92,7 @@ class StudyFiles:
             return self._packed.get(name, b"")
         try:
             return (self.path / name).read_bytes()
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return b""
 
     def study(self) -> Study:

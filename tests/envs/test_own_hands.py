@@ -42,6 +42,7 @@ WRONG = [
     ("toml", 'palm = "palm"', 'palm = "hand"', "palm: found 'hand', allowed: palm, left_1"),
     ("toml", "tip = [0, 0, -0.033]", "tip = [0, 0, -0.08]", "mm off body 'left_2', allowed"),
     ("toml", 'model = "gripper.xml"', 'model = "no.xml"', "no.xml' does not exist"),
+    ("toml", 'model = "gripper.xml"', 'model = ".."', "..' is a folder"),
     ("xml", '<mesh name="tip" v', '<mesh name="tip" file="no.stl"/><mesh name="x" v', "no.stl"),
     ("xml", '<mesh name="tip"', '<mesh name="other" file="no.stl"/><mesh name="tip"', ""),
     ("toml", "[closed]", "[shut]", "shut: unknown"),

@@ -190,6 +190,7 @@ class TestWarnings:
 
     def test_what_is_no_study(self, folder, tmp_path, capsys):
         fails_with(capsys, ["study", "report", tmp_path], "no study.json")
+        fails_with(capsys, ["study", "report", "/dev/null"], "no study.json")
         fails_with(capsys, ["study", "collect", tmp_path / ("x" * 300)], "xxx")
         (tmp_path / "mine").write_text("")
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
