@@ -59,10 +59,13 @@ Row = dict[str, str]
 
 def write_tensors(path: Path, content: Values) -> None:
     """Write tensors and plain values, whole or not at all; OSError where the disk is full."""
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
     with replacing(path) as file:
-        file.write(buffer.getbuffer())
+        try:
+            torch.save(content, file)
+        except RuntimeError as error:  # PyTorch's, of what could not be written
+            if isinstance(cause := error.__context__, OSError):
+                raise OSError(cause.errno, cause.strerror, str(path)) from None
+            raise
 
 
 def read_tensors(path: Path, kind: str, key: str, version: int) -> Values:

@@ -186,6 +186,12 @@ class TestResume:
         assert main(["train", "--resume", "cut", "--total-timesteps", "700"]) == 0
         assert same_checkpoint(Path("whole"), Path("cut"))
 
+    def test_experience_of_a_lost_epoch_is_removed(self):
+        main([*REACH, "--total-timesteps", "100", "--out", "run"])
+        Path("run/experience/00000007-0000.pt").write_bytes(b"written, but its checkpoint was not")
+        main(["train", "--resume", "run", "--total-timesteps", "200"])
+        assert len(list(Path("run/experience").iterdir())) == 2
+
     @pytest.mark.parametrize("lost", [["checkpoint.pt", "progress.csv"], []])
     def test_what_was_cut_off_is_made_up_for(self, lost):
         """Before the first checkpoint, which begins it anew, or in the middle of a row."""

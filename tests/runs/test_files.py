@@ -283,3 +283,18 @@ class TestTerminal:
             "tactilerl: interrupted; the last checkpoint is kept: --resume new --import cut\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_full_disk_is_an_error_of_the_disk(tmp_path):
+    """Also where PyTorch notices it in the midst of a file that is larger than what it holds back."""
+    code = """if True:
+        import pathlib, resource, torch
+        from tactilerl.runs import store
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        try:
+            store.write_tensors(pathlib.Path("x.pt"), {"x": torch.zeros(10**6)})
+        except OSError as error:
+            print(error.strerror, *pathlib.Path().iterdir())
+    """
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert ended.stdout == "File too large\n", ended.stderr
