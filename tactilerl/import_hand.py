@@ -36,8 +36,6 @@ WORDS = {
 }
 MAX_LINKS = 4  # of a digit, counted from its tip
 MAX_WRIST_JOINTS = 2  # joints outside of a hand that are no arm
-LARGEST_MOUNT = 0.4  # m from the palm: what reaches further is no part of a hand
-AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
 STEP = 0.01  # rad or m, by which a joint goes to see what it turns
 TRIAL_ANGLE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
 MIN_APPROACH = 5e-3  # m by which a tip comes nearer to others when a joint closes
@@ -84,9 +82,6 @@ class Guess:
         if len(spec.joints) - _n_joints(root) > MAX_WRIST_JOINTS:
             self.keys["root"] = root.name
         self.parts = self._parts()
-        if self._is_on_a_stand():
-            self.keys["root"] = root.name
-            self.parts = self._parts()
         self.frame = self.parts.palm_frame
         self.chains = chains_of(self.parts, self.frame.link)
 
@@ -97,19 +92,6 @@ class Guess:
     def _spec(self) -> mujoco.MjSpec:
         parts = self._parts()
         return mount.cleaned(parts.path, parts.file, visual=False)
-
-    def _is_on_a_stand(self) -> bool:
-        """Return whether the palm is part of, or hangs on, what is too large for a hand."""
-        frame, model = self.parts.palm_frame, self.parts.model
-        data = posed(model, {})
-        palm = placed(data, frame.link, frame.place)
-        away = [
-            np.linalg.norm(placed(data, link, point) - palm)
-            for link in mount.chain(self.parts.spec.body(frame.link))
-            for geom in geoms_of(model, link)
-            for point in geom.points
-        ]
-        return bool(max(away, default=0.0) > LARGEST_MOUNT)
 
     # -- the digits, and where they go -------------------------------------------------------
 
@@ -501,9 +483,7 @@ def _tip(parts: Parts, link: str) -> tuple[float, ...]:
     """Return the end of a link, seen from its joint."""
     geoms = geoms_of(parts.model, link)
     points: Array = np.concatenate([geom.points for geom in geoms])
-    middle = away = _middle(points)
-    if np.linalg.norm(middle) <= AT_JOINT:
-        away = points[np.argmax(np.linalg.norm(points, axis=1))]
-    away = unit(away, link)
+    middle = _middle(points)
+    away = unit(middle, link)
     end = meet(geoms, middle, -away)
     return tuple(np.round(middle if end is None else end[0] - 1e-3 * away, 4).tolist())

@@ -117,10 +117,10 @@ class Parts:
 
         What a pose of the file moves has one all the same.
         """
-        joints = self.by_joint(dict.fromkeys(self.file.passive), "passive")
-        moved = set[str]()
-        for title in ("opened", "closed", "start"):
-            moved |= self.by_joint(getattr(self.file, title) or {}, title).keys()
+        file = self.file
+        joints = self.by_joint(dict.fromkeys(file.passive), "passive")
+        poses = file.opened | file.closed | (file.start or {})
+        moved = self.by_joint(poses, "opened, closed and start")
         looped = set[str]().union(*mount.loops(self.raw))
         for joint in self.raw.joints:
             if joint.parent.name in looped and joint.name not in moved:
@@ -180,7 +180,12 @@ class Parts:
             for joint in mount.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:
                     couplings.setdefault(joint, Coupling(joint, driver, 1.0))
-        return tuple(_by_last(each, couplings) for each in couplings.values())
+        for joint, coupling in couplings.items():
+            if coupling.driver in couplings:
+                raise ValueError(
+                    f"couplings: {joint!r} follows {coupling.driver!r}, which follows another"
+                )
+        return tuple(couplings.values())
 
     def frame(self, name: str, where: str) -> Frame:
         """Return the link that a body is, or is part of.
@@ -244,14 +249,11 @@ class Parts:
     def closed(self) -> Angles:
         """Angles of the closed hand, of joints that have an actuator."""
         closed = self.angles(self.file.closed, "closed")
-        followers = [coupling.joint for coupling in self.follows]
         for joint in closed:
             if joint not in self.driven:
-                hint = "leave it out, or drop all actuators"
-                if joint in followers:
-                    hint = "it follows another: leave it out"
                 raise ValueError(
-                    f"closed.{joint}: found a joint without an actuator; {hint}"
+                    f"closed.{joint}: found a joint without an actuator; leave it out, or, unless it "
+                    "follows another, drop all actuators"
                 )
         return closed
 
@@ -378,23 +380,6 @@ def require_distinct(names: Names, where: str) -> None:
     """Raise ValueError unless there are one or more names, each once."""
     if not names or len(set(names)) < len(names):
         raise ValueError(f"{where}: found {list(names)}, expected each name once")
-
-
-def _by_last(coupling: Coupling, couplings: Mapping[str, Coupling]) -> Coupling:
-    """Return a coupling to the joint that moves all those that follow each other."""
-    chain = [coupling.joint]
-    while beyond := couplings.get(coupling.driver):
-        chain.append(beyond.joint)
-        if beyond.driver in chain:
-            raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
-        coupling = Coupling(
-            coupling.joint,
-            beyond.driver,
-            coupling.ratio * beyond.ratio,
-            coupling.at(beyond.offset),
-            coupling.is_rigid and beyond.is_rigid,
-        )
-    return coupling
 
 
 def _directions(value: Any, n: int, where: str) -> list[Array | None]:

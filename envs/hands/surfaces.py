@@ -21,7 +21,6 @@ from .hand import RADIUS, SEGMENTS, Frame, Pitch, Point, Sensors, Surface
 from .parts import Parts
 from .tables import DigitTable
 
-PARALLEL = 0.99  # cosine
 OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
 SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch|fsr")
 MIN_RADIUS, MAX_RADIUS = 1e-3, 0.02  # m, of sensors
@@ -148,10 +147,7 @@ def _palmar(
             along = perpendicular(along, axis)
             return unit(np.cross(axis, along), links[0]), along
     for move in moves([links[0], *above], mount.LINEAR):
-        side = unit(move, links[0])
-        if abs(side @ along) >= PARALLEL:
-            along = np.cross(side, np.roll(side, 1))
-        return side, along
+        return unit(move, links[0]), along
     hint = f"nothing in [closed] bends {links[0]!r}; say palmar = [x, y, z]"
     return unit(inward - (inward @ along) * along, hint), along
 

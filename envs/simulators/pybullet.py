@@ -168,7 +168,7 @@ class PyBulletSimulator(Simulator):
 
         Bullet multiplies the frictions of two bodies: 1 everywhere but on the object.
         """
-        added = self.scene.hand.added_inertia
+        added = self.scene.hand.file.added_inertia
         for name, index in self._links.items():
             body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
             inertia = (

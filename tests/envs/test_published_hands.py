@@ -278,11 +278,11 @@ class TestServos:
         (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
         (tmp_path / "in/b.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>')
         path, beside = made(with_more('<include file="in/a.xml"/>')), tmp_path / "in/b.xml"
-        assert beside in hands.get(path).files
+        assert beside in hands.get(path).paths
         (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
         (tmp_path / "b.xml").write_text('<mujoco><option timestep="0.002"/></mujoco>')
         hands._read.clear()
-        assert beside not in hands.get(path).files  # MuJoCo prefers what is beside the model
+        assert beside not in hands.get(path).paths  # MuJoCo prefers what is beside the model
         native = mujoco.MjSpec.from_file(str(tmp_path / "hand.xml")).option.timestep
         assert model_file.read(tmp_path / "hand.xml").option.timestep == native == 0.002
 
@@ -442,7 +442,7 @@ class TestUrdf:
         (folder / "bone.obj").write_text("\n".join(lines) + "\n")
         hand = hands.get(path)
         assert hand.surfaces[0].geoms[0].kind == "mesh"
-        assert folder / "bone.obj" in hand.files
+        assert folder / "bone.obj" in hand.paths
         in_mm = urdf(f'<mesh filename="{place}" scale="1e3 1e3 1e3"/>')
         with pytest.raises(ValueError, match=r"found mesh .* m large: its file is in mm; say scale="):
             hands.get(made(in_mm, URDF, "hand.urdf"))
