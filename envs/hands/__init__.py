@@ -128,6 +128,5 @@ _read: dict[Path, tuple[list[Any], Hand]] = {}
 
 def _state(path: Path, hand: Hand) -> list[Any]:
     """Return what changes when a file of a hand does, or a grasp is kept beside it."""
-    files = [path, *hand.paths, path.with_suffix(GRASP_SUFFIX)]
-    states = [file.stat() if file.exists() else None for file in files]
-    return [state and (state.st_size, state.st_mtime_ns) for state in states]
+    files = (path, *hand.paths, path.with_suffix(GRASP_SUFFIX))
+    return [file.exists() and file.stat().st_mtime_ns for file in files]

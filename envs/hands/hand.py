@@ -453,7 +453,5 @@ class Hand(Model, Actuation, Geometry, Start):
 
 def short_digest(*parts: Path | bytes) -> str:
     """Return a digest, 16 hex digits, of bytes and of the content of files."""
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part if isinstance(part, bytes) else part.read_bytes())
-    return digest.hexdigest()[:16]
+    contents = (p if isinstance(p, bytes) else p.read_bytes() for p in parts)
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]
