@@ -154,7 +154,9 @@ TERMS = {
         lambda _, state: 0.0 * state.palm[..., :1] + KINDS.index(state.shape.kind),
     ),
     "hand_position": Term("hand", lambda _: "xyz", lambda _, state: state.palm),
-    "finger_joints": Term("position of", attrgetter("file.first_joints"), _first_joints),
+    "finger_joints": Term(
+        "position of", attrgetter("file.first_joints"), _first_joints
+    ),
     "joint_positions": Term(
         "position of", attrgetter("joints"), lambda _, state: state.joint_positions
     ),

@@ -67,9 +67,7 @@ def point(data: Any, number: int) -> Point:
         if abs(length - 1.0) > 1e-9:
             normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
-    return Point(
-        table.link, table.position, normal, table.radius, name, table.threshold_N
-    )
+    return Point(**vars(table) | {"normal": normal, "name": name})
 
 
 def require_distinct(points: Sequence[Point]) -> None:
@@ -100,9 +98,7 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         if not tables:
             raise ValueError("found no taxel")
         on_link = {} if link is None else {"link": link}
-        points = tuple(point(table | on_link, i) for i, table in enumerate(tables, 1))
-        require_distinct(points)
-        return points
+        return tuple(point(table | on_link, i) for i, table in enumerate(tables, 1))
 
 
 def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:

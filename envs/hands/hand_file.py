@@ -160,20 +160,12 @@ def _hung(parts: Parts) -> tuple[Callable[..., mujoco.MjSpec], Array]:
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     axes = parts.palmar, parts.fingers, np.cross(parts.palmar, parts.fingers)
     turn = np.round(PALM_DOWN @ np.array(axes) @ (root.T @ palm).T, 12) + 0.0
-    steps = (
-        root.T @ (data.xpos[parts.palm] - data.xpos[1]),
-        root.T @ palm @ np.array(of),
-    )
-
-    def with_palm(at: Array) -> Callable[..., mujoco.MjSpec]:
-        for step in steps:
-            at = at - turn @ np.round(step, NANO)
-        return partial(_build, parts, at, turn)
-
+    to_palm = turn @ np.round(root.T @ (data.xpos[parts.palm] - data.xpos[1]), NANO)
+    to_point = turn @ np.round(root.T @ palm @ np.array(of), NANO)
     at = np.array(place.at or ())
     if place.at is None:
-        at = _above_the_object(parts, with_palm(np.zeros(3))())
-    return with_palm(at), at
+        at = _above_the_object(parts, _build(parts, -to_palm - to_point, turn))
+    return partial(_build, parts, at - to_palm - to_point, turn), at
 
 
 def _above_the_object(parts: Parts, spec: mujoco.MjSpec) -> Array:

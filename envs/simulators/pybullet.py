@@ -211,10 +211,9 @@ class PyBulletSimulator(Simulator):
         for joint, driver, ratio, offset, is_rigid in hand.couplings:
             if is_rigid and ratio:
                 followed = self.joint_limits[hand.joints.index(joint)]
-                low, high = sorted((followed - offset) / ratio)
+                ends = np.sort((followed - offset) / ratio)
                 index = hand.actuated.index(driver)
-                limits[0, index] = max(low, limits[0, index])
-                limits[1, index] = min(high, limits[1, index])
+                limits[:, index] = limits[:, index].clip(*ends)
         return limits
 
     # -- running -----------------------------------------------------------------------------
