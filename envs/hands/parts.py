@@ -180,12 +180,7 @@ class Parts:
             for joint in mount.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:
                     couplings.setdefault(joint, Coupling(joint, driver, 1.0))
-        for joint, coupling in couplings.items():
-            if coupling.driver in couplings:
-                raise ValueError(
-                    f"couplings: {joint!r} follows {coupling.driver!r}, which follows another"
-                )
-        return tuple(couplings.values())
+        return tuple(_by_last(each, couplings) for each in couplings.values())
 
     def frame(self, name: str, where: str) -> Frame:
         """Return the link that a body is, or is part of.
@@ -380,6 +375,23 @@ def require_distinct(names: Names, where: str) -> None:
     """Raise ValueError unless there are one or more names, each once."""
     if not names or len(set(names)) < len(names):
         raise ValueError(f"{where}: found {list(names)}, expected each name once")
+
+
+def _by_last(coupling: Coupling, couplings: Mapping[str, Coupling]) -> Coupling:
+    """Return a coupling to the joint that moves all those that follow each other."""
+    chain = [coupling.joint]
+    while beyond := couplings.get(coupling.driver):
+        chain.append(beyond.joint)
+        if beyond.driver in chain:
+            raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
+        coupling = Coupling(
+            coupling.joint,
+            beyond.driver,
+            coupling.ratio * beyond.ratio,
+            coupling.at(beyond.offset),
+            coupling.is_rigid and beyond.is_rigid,
+        )
+    return coupling
 
 
 def _directions(value: Any, n: int, where: str) -> list[Array | None]:

@@ -108,13 +108,6 @@ def test_a_palm_that_folds_keeps_its_thumb():
     assert "fold" not in about["closed"]
 
 
-def test_a_hand_on_a_stand():
-    stand = '<body name="stand"><geom type="box" size="0.5 0.5 0.5"/><body name="hand" pos="-0.6 0 0">'
-    model = PERSON.replace('<body name="hand">', stand).replace("</worldbody>", "</body></worldbody>")
-    about = guessed(model)
-    assert (about["palm"], about["root"], about["palmar"]) == ("hand", "hand", [0, 0, -1])
-
-
 def test_fingers_that_close_on_a_thumb_across_a_broad_palm():
     finger = """<body name="{n}_1" pos="{x} {y} -0.02" euler="0 1.5708 0"><joint name="{n}_a"
     axis="0 {s} 0" range="-0.2 1.5"/><geom type="capsule" size="0.007" fromto="0 0 0 0.05 0 0"/>
