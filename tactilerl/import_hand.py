@@ -42,7 +42,6 @@ MIN_APPROACH = 5e-3  # m by which a tip comes nearer to others when a joint clos
 N_STEPS = 20  # of a digit's way to its closed end
 IN_PALM, IN_FINGER = 2e-3, 8e-3
 """m that fingers may be in the palm, and in each other, before they stop."""
-MIN_CLOSING = 0.4  # share of their way that fingers go in any case beside a thumb
 MAX_THUMB_COSINE = (
     0.5  # cosine by which a thumb goes another way than the other digits do
 )
@@ -288,8 +287,7 @@ class Guess:
         usual = is_deep(0.0)
         for step in range(1, N_STEPS + 1):
             if (is_deep(step / N_STEPS) & ~usual).any():
-                least = 1 / N_STEPS if self.thumb is None else MIN_CLOSING
-                return max((step - 1) / N_STEPS, least)
+                return max(step - 1, 1) / N_STEPS
         return 1.0
 
     @cached_property

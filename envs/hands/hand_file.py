@@ -87,9 +87,7 @@ def load(file: HandFile, path: Path) -> Hand:
         return hand
     timestep = file.scene.get("timestep", TIMESTEP)
     require_type(timestep, checks.Timestep, "scene.timestep")
-    with model_file.quiet():
-        notes = checks.examine(hand, parts, timestep)
-    return replace(hand, notes=hand.notes + notes)
+    return replace(hand, notes=hand.notes + checks.examine(hand, parts, timestep))
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:

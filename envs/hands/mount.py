@@ -94,8 +94,7 @@ def fuse(spec: mujoco.MjSpec) -> None:
     """Make what is fixed to a link part of it."""
     for body in spec.bodies:
         body.fuse = is_fixed(body)
-    with model_file.quiet():
-        spec.fuse_static()
+    spec.fuse_static()
 
 
 def set_range(joint: mujoco.MjsJoint, low: float, high: float) -> None:
@@ -158,8 +157,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         chosen = spec.body(root)
         for joint in chosen.joints:
             spec.delete(joint)
-        with model_file.quiet():  # names stay as they are
-            whole.worldbody.add_frame().attach_body(chosen, "", "")
+        whole.worldbody.add_frame().attach_body(chosen, "", "")
     else:
         for joint in roots[0].joints if len(roots) == 1 else ():
             if joint.type == FREE_JOINT:
@@ -176,8 +174,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         # Where nothing is part of the base it is as light as can be: 1 g, 1e-6 kg m².
         if all(list(body.joints) for body in roots):
             base.mass, base.inertia, base.explicitinertial = 1e-3, [1e-6] * 3, True
-        with model_file.quiet():
-            whole.attach(spec, prefix="", frame=base.add_frame())
+        whole.attach(spec, prefix="", frame=base.add_frame())
     whole.modelfiledir, whole.meshdir = spec.modelfiledir, spec.meshdir
     whole.compiler.balanceinertia = spec.compiler.balanceinertia
     return whole

@@ -165,8 +165,7 @@ class Parts:
         for law in laws.values():
             require_one_of(self.joints, law.follows, "couplings")
         return tuple(
-            Coupling(joint, law.follows, law.ratio, law.offset)
-            for joint, law in laws.items()
+            Coupling(joint, *vars(law).values()) for joint, law in laws.items()
         )
 
     @cached_property
@@ -211,8 +210,7 @@ class Parts:
         """Return a table of the file by joint; its keys are joints or patterns of them."""
         values: dict[str, Any] = {}
         for pattern, value in table.items():
-            is_name = pattern in self.joints
-            joints = [pattern] if is_name else matching(self.joints, pattern)
+            joints = matching(self.joints, pattern)
             if not joints:
                 require_one_of(self.joints, pattern, where)
             values |= dict.fromkeys(joints, value)

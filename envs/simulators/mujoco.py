@@ -100,8 +100,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
     spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE * (SKINS if scene.skin else 1)
     _take_textures(spec)
-    with model_file.quiet():
-        spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
+    spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
     for number, sensor in enumerate(scene.sensors):
         _add_touch_sensor(spec, f"touch of taxel {number}", sensor)
     return spec
