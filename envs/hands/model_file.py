@@ -13,7 +13,7 @@ import numpy as np
 
 from .. import validation
 
-# MuJoCo would print its warnings, which are counted (`Simulator.warnings`), and write a log where it runs.
+# MuJoCo would print its warnings, which are counted (`Simulator.warnings`), and write a log.
 LOGS = mujoco.MjLogConfig.get()
 LOGS.logto_console = LOGS.logto_file = False
 LOGS.set()
