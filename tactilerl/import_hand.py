@@ -72,8 +72,8 @@ class Guess:
         empty = {"palm": "", "digits": {}, "drop": []}
         self.keys: dict[str, Any] = {"model": model, **empty, **unknown, **known}
         if self.keys.pop("servos", None):
-            self.keys["drop"] += [actuator.name for actuator in self._spec().actuators]
-        spec = self._spec()
+            self.keys["drop"] += [servo.name for servo in self._parts().raw.actuators]
+        spec = self._parts().raw
         self.keys["palm"] = self.keys["palm"] or _palm_of(spec)
         bodies = [body.name for body in spec.bodies]
         validation.require_one_of(bodies, self.keys["palm"], "palm")
@@ -87,10 +87,6 @@ class Guess:
     def _parts(self) -> Parts:
         """Return the parts of a hand of which only the keys so far are known."""
         return Parts(validation.fill(HandFile, self.keys), self.folder)
-
-    def _spec(self) -> mujoco.MjSpec:
-        parts = self._parts()
-        return mount.cleaned(parts.path, parts.file, visual=False)
 
     # -- the digits, and where they go -------------------------------------------------------
 

@@ -59,7 +59,7 @@ def load(file: HandFile, path: Path) -> Hand:
         name=path.stem,
         file=file,
         build=built,
-        paths=parts.files,
+        paths=model_file.files(parts.path, parts.raw),
         welded=parts.welded,
         notes=_notes(parts),
         joints=(*SLIDES, *parts.joints),

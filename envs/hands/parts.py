@@ -133,11 +133,6 @@ class Parts:
         return self.bare(visual=False)
 
     @cached_property
-    def files(self) -> tuple[Path, ...]:
-        """Paths of all files of the model: the MJCF or URDF, its includes and meshes."""
-        return model_file.files(self.path, self.raw)
-
-    @cached_property
     def model(self) -> mujoco.MjModel:
         """The compiled `spec`."""
         return model_file.compiled(self.spec)
