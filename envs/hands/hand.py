@@ -53,10 +53,10 @@ class Surface:
     """Unit vector towards the fingertip: the direction of a grid's rows."""
     palmar: tuple[float, float, float]
     """Unit outward normal of the palmar side."""
-    radius: float | None = None
-    """Cylinder radius in m; None for other surfaces."""
+    radius: float = 0.0
+    """Radius of the capsule that is the link's shape, m; 0 for other shapes."""
     bone: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    """Both ends of the axis of the capsule that is the link's shape, m; None for other shapes."""
+    """Both ends of its axis, m; None for other shapes."""
     geoms: tuple[Geom, ...] = ()
     """Shapes of the link, where it is neither one capsule nor flat."""
     extent: tuple[float, float] = (9e-3, 9e-3)
@@ -78,7 +78,7 @@ class Surface:
 
             if met := meet(self.geoms, above, -palmar):
                 return met
-        elif self.radius is None:
+        elif self.bone is None:
             return above, palmar
         elif abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact
             height = np.sqrt(max(0.0, self.radius**2 - column**2))
@@ -119,7 +119,7 @@ class Surface:
             from .geometry import outside
 
             return outside(self.geoms, point)
-        if self.bone is None or self.radius is None:
+        if self.bone is None:
             return self.offset(point)[2], np.array(self.palmar)
         begin, end = np.array(self.bone)
         bone = end - begin
@@ -134,7 +134,6 @@ class Surface:
         """Rows of both ends, and half the width of the link, m, from the grid's middle."""
         if self.bone is None:
             return -self.extent[0], *self.extent
-        assert self.radius is not None
         low, high = sorted(self.offset(np.array(point))[0] for point in self.bone)
         return low, high, self.radius
 

@@ -133,8 +133,13 @@ def _build(
     spec, slides = parts.bare(visual), parts.file.slides
     root = spec.worldbody.first_body()
     root.pos = position
-    root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    root.quat = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
+    if not np.allclose(rotation, unmoved, atol=1e-9):
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        turn = Rotation.from_matrix(rotation).as_rotvec()
+        angle = float(np.linalg.norm(turn))
+        axis = np.round(turn / max(angle, 1e-9), 12)
+        root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
     usual = model_file.EMPTY_SPEC.default
     for name, axis in zip(SLIDES, rotation, strict=True):
         slide = root.add_joint(usual, name=name, type=mount.LINEAR, axis=axis)
