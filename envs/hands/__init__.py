@@ -2,7 +2,7 @@
 
 | file | what it has |
 |---|---|
-| `hand` | what the rest of the library knows of a hand |
+| `hand` | what the rest knows of a `Hand`, in four groups: `Model`, `Actuation`, `Geometry`, `Start` |
 | `model_file` | models as published, MJCF or URDF |
 | `mount` | what is done to a model: parts left out, links, couplings, servos |
 | `tables`, `parts` | the TOML file; what it means of the model |

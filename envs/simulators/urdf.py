@@ -145,16 +145,20 @@ def _joints(model: mujoco.MjModel, body: int) -> list[str]:
     """Return the joints between a body and its parent, with massless links between them."""
     name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
     first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-    joints = [model.joint(first + number) for number in range(n)]
-    children = [*(f"{name} {number}" for number in range(n - 1)), name]
     pose, parts = (model.body_pos[body], model.body_quat[body]), []
-    for joint, child in zip(joints or [None], children, strict=True):
+    for number in range(max(n, 1)):
         label, kind, axis, limits = f"{name} fixed", "fixed", _UNMOVED[0], _UNLIMITED
-        if joint is not None:
-            label, kind, axis = joint.name, _JOINTS[int(joint.type[0])], joint.axis
-            if np.any(joint.pos) or joint.qpos0[0]:
+        child = name if number >= n - 1 else f"{name} {number}"
+        if n > 0:
+            joint = model.joint(first + number)
+            label, kind, axis = (
+                joint.name,
+                _JOINTS.get(int(joint.type[0]), ""),
+                joint.axis,
+            )
+            if not kind or np.any(joint.pos) or joint.qpos0[0]:
                 what = f"joint {label!r}, whose anchor is not its body's origin or which has a ref"
-                raise _unknown(what, "joints at the origin, without ref")
+                raise _unknown(what, "hinges and slides at the origin, without ref")
             if joint.limited[0]:
                 limits = joint.range.tolist()
         if child != name:
