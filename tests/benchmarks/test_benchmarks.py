@@ -16,7 +16,7 @@ def test_bullet_with_other_settings():
     engine = importlib.import_module("tactilerl.envs.simulators.pybullet").ENGINE
     setting = Setting(options={"contactERP": 0.4}, added_inertia=0.5)
     with environment("mpl", "pybullet", 0.05, setting) as env:
-        assert env.hand.added_inertia == 0.5
+        assert env.hand.file.added_inertia == 0.5
         assert engine["contactERP"] == 0.4
     assert engine.get("contactERP") != 0.4
 

@@ -60,7 +60,7 @@ def read(surface, rows, shape, position, rotation):
 @pytest.mark.parametrize(("gap", "on"), [(-5e-4, True), (4e-4, True), (6e-4, False), (1.4e-3, False)])
 def test_a_taxel_feels_what_touches_its_skin_and_not_what_is_only_near(surface, gap, on):
     """A cube with its face to the palmar side; taxels in the middle of it and 5 mm beyond."""
-    y = -(surface.radius or 0.0) - gap - 0.02
+    y = -surface.radius - gap - 0.02
     middle = [0.0, y, surface.centre[2]], np.eye(3)
     assert read(surface, [0.0, 0.025], objects.make("box", (0.04,)), *middle) == [on, False]
 
