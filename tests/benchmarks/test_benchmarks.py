@@ -7,7 +7,7 @@ import sys
 import pytest
 from benchmarks.physics import hard_cases, hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
-from benchmarks.studies.study_tables import part
+from benchmarks.studies.layouts_study import part
 from tactilerl.study.records import Record
 
 

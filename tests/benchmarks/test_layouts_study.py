@@ -86,5 +86,5 @@ def test_all_tables_and_the_figure_come_out(made_up, monkeypatch, rng, tmp_path,
         show()
     printed = capsys.readouterr().out
     assert "nan" not in printed
-    study.draw(tmp_path)
+    study.picture().savefig(tmp_path / "layouts_study.png")
     assert (tmp_path / "layouts_study.png").stat().st_size > 10_000
