@@ -24,7 +24,6 @@ EXAMPLES = sorted(path for path in (ROOT / "examples").glob("*.py") if "# %%" in
 PPO = dict(hidden=[16], steps_per_epoch=120, n_passes=2)
 HER = dict(hidden=[16], n_cycles=2, n_batches=4, n_test_rollouts=1, batch_size=32)
 LEARNERS = [
-    ("PPO", "lqr", PPO, 200),
     ("PPO", "lqr", PPO | {"recipe": "steady"}, 200),
     ("DDPGHER", "point-reach", HER, 150),
 ]
@@ -198,17 +197,14 @@ class TestLearner:
         assert "epoch    1  steps 120/120" in capsys.readouterr().out
 
     def test_threads_are_only_its_own(self):
+        """Also of what computes beside, or results would depend on the workers."""
         torch.set_num_threads(2)
-        tactilerl.PPO("lqr", **PPO).learn(1, callback=lambda row: torch.get_num_threads() == 1 or 1 / 0)
-        assert torch.get_num_threads() == 2
-
-    def test_what_computes_beside_has_them_too(self):
-        """Or results would depend on the workers."""
-        torch.set_num_threads(2)
-        agent = tactilerl.PPO(lambda: tactilerl.make("lqr"), workers=2, **PPO)
-        assert agent._learner.in_two_threads(int, torch.get_num_threads)[1] == 1
-        assert agent.learn(1).env_steps == 120
+        agent, seen = tactilerl.PPO(lambda: tactilerl.make("lqr"), workers=2, **PPO), []
+        agent.learn(1, callback=lambda row: seen.append(torch.get_num_threads()))
+        seen.append(agent._learner.in_two_threads(int, torch.get_num_threads)[1])
         agent.close()
+        assert seen == [1, 1]
+        assert torch.get_num_threads() == 2
 
 
 class TestTrain:
@@ -239,8 +235,6 @@ MISTAKES = [
     ),
     (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
     (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
-    (lambda: tactilerl.PPO("lqr", recipe=[1]), "recipe: found"),
-    (lambda: tactilerl.evaluate(short(), Short(), episodes=10**6), "episodes: found 1000000"),
     (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
     (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
     (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
@@ -252,33 +246,18 @@ MISTAKES = [
     (lambda: tactilerl.PPO("lqr").policy().act([1, np.nan]), "obs: not finite"),
     (lambda: tactilerl.PPO("lqr").policy().act([1, 2], deterministic=False), "rng: found none"),
     (lambda: tactilerl.DDPGHER("point-reach").policy().act([1, 2]), "found a list, expected a dict of"),
-    (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
     (
         lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "point-reach"),
         r"env: found observations of shape .*, the policy has \(2,\)",
     ),
     (lambda: tactilerl.evaluate("policy.pt", "lqr"), "policy: found str, allowed what load_policy"),
-    (
-        lambda: tactilerl.evaluate(lambda obs: [1, 2], "lqr"),
-        r"its action: found \[1, 2\], allowed numbers of shape \(1,\)",
-    ),
     (lambda: tactilerl.PPO("handover"), "did you mean scene='handover' .* tactilerl/Handover-v0"),
     (lambda: short(action=gym.spaces.Box(-3e38, 3e38, (1,))), "Box of floats with finite bounds"),
-    (
-        lambda: tactilerl.PPO("lqr").policy().act(tactilerl.make("lqr").reset()),
-        "obs: found a tuple, expected an array",
-    ),
-    (lambda: short(obs=(0,)), "space: found an empty one"),
-    (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: 'NoneType' object has no"),
-    (lambda: tactilerl.make("shadow", friction=(0.5, 1)), r"friction: found \[0.5, 1\], allowed"),
     (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
     (lambda: tactilerl.evaluate(short(), Short(high=2.0)), r"actions Box\(-2.0, 2.0, .* has Box\(-1.0"),
     (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
     (lambda: short(obs=gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)), "images"),
     (lambda: short(obs=gym.spaces.Dict(a=gym.spaces.Box(-1, 1, (2,)))), "FlattenObservation"),
-    (lambda: short(action=gym.spaces.Box(0, 5, (1,), np.int64)), "Box of floats"),
-    (lambda: tactilerl.load_policy(None), "path: found None, allowed a path"),
-    (lambda: short().save(3), "path: found 3"),
     (lambda: tactilerl.DDPGHER(without_goal()), "allowed a goal environment's"),
     (lambda: tactilerl.evaluate(lambda obs: [math.nan], "lqr"), r"policy: its action: found \[nan\]"),
 ]
@@ -326,15 +305,7 @@ class TestMistakes:
     def test_a_damaged_policy_is_refused(self):
         tactilerl.PPO("lqr", **PPO).save("policy.pt")
         whole = torch.load("policy.pt", weights_only=True)
-        for change in (
-            dict(policy_format=99),
-            dict(algo="sac"),
-            dict(spaces="[]"),
-            dict(spaces=whole["spaces"].replace("[2]", "[3]")),
-            dict(spaces=whole["spaces"].replace("float32", "nonsense")),
-            dict(state={"actor": {}}),
-            dict(state={}),
-        ):
+        for change in (dict(policy_format=99), dict(algo="sac"), dict(spaces="[]"), dict(state={})):
             store.write_tensors(Path("bad.pt"), {**whole, **change})
             with pytest.raises(ValueError, match=r"bad\.pt: (damaged|not a policy)") as raised:
                 tactilerl.load_policy("bad.pt")

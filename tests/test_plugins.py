@@ -135,17 +135,6 @@ def test_a_run_is_trained_and_evaluated_with_import(capsys):
     fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
 
 
-@pytest.mark.slow
-def test_a_study_says_what_the_user_has_to_import(capsys, trained_here):
-    lines = ['name = "s"', "[setups.cup]", f'scene = "{EXAMPLES / "own_task.toml"}"', "layout = 5"]
-    lines += ["total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]
-    Path("s.toml").write_text("\n".join(lines))
-    run = ["study", "run", "s.toml", "--jobs", "1"]
-    fails_with(capsys, run, "task: found 'hold-cup'", "--import MODULE")
-    assert "own_task" not in sys.modules
-    assert "cup_s0 done" in printed(capsys, [*run, "--import", "own_task"])
-
-
 @pytest.mark.pybullet
 def test_worker_processes_import_it_too():
     processes = ["--simulator", "pybullet", "--workers", "2"]

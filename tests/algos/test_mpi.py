@@ -109,13 +109,11 @@ def launched(tmp_path_factory, launches):
         return folder, subprocess.run(command, capture_output=True, text=True, timeout=900)
 
 
-def test_reductions_agree_with_numpy(launched):
-    assert launched[1].stdout.count("reductions agree with numpy") == 2, launched[1].stderr
-
-
-def test_two_ranks_equal_one_with_all_batches(launched):
-    """Gradients averaged over two ranks with batch B take the steps of one with batch 2 B."""
-    assert launched[1].stdout.count("two ranks equal one with all batches") == 2, launched[1].stderr
+@pytest.mark.parametrize(
+    "said", ["reductions agree with numpy", "two ranks equal one with all batches"]
+)
+def test_gradients_averaged_over_two_ranks_are_those_of_one_with_twice_the_batch(launched, said):
+    assert launched[1].stdout.count(said) == 2, launched[1].stderr
 
 
 def test_ranks_train_one_writes_and_resume_is_exact(launched):

@@ -41,8 +41,6 @@ def test_an_error_of_either_comes_out(together, failing):
 
 PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)
 HER_SMALL = DDPGHERConfig(hidden=(32, 32), n_batches=20, batch_size=32, buffer_size=1000)
-
-
 BOTH = pytest.mark.parametrize(
     ("algorithm", "config", "env"), [(PPO, PPO_SMALL, "lqr"), (DDPGHER, HER_SMALL, "point-reach")]
 )

@@ -144,7 +144,7 @@ class TestTrain:
 
 
 class TestResume:
-    @pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
+    @pytest.mark.parametrize("toy", [TOY, [*TOY, "--recipe", "robust"], REACH])
     def test_resumed_run_equals_the_uninterrupted_one(self, toy, capsys):
         main([*toy, "--total-timesteps", "600", "--out", "whole"])
         main([*toy, "--total-timesteps", "200", "--out", "parts"])  # whole epochs, the last one too
@@ -192,16 +192,12 @@ class TestResume:
         main(["train", "--resume", "run", "--total-timesteps", "200"])
         assert len(list(Path("run/experience").iterdir())) == 2
 
-    @pytest.mark.parametrize("lost", [["checkpoint.pt", "progress.csv"], []])
-    def test_what_was_cut_off_is_made_up_for(self, lost):
-        """Before the first checkpoint, which begins it anew, or in the middle of a row."""
-        main([*TOY, "--total-timesteps", "360", "--out", "whole"])
-        main([*TOY, "--total-timesteps", "240", "--out", "cut"])
-        for name in lost:
+    def test_what_was_cut_off_before_the_first_checkpoint_begins_anew(self):
+        for name in ("whole", "cut"):
+            main([*TOY, "--total-timesteps", "240", "--out", name])
+        for name in ("checkpoint.pt", "progress.csv"):
             Path("cut", name).unlink()
-        if not lost:
-            Path("cut/progress.csv").write_text(Path("cut/progress.csv").read_text() + "3,36")
-        assert main(["train", "--resume", "cut", "--total-timesteps", "360"]) == 0
+        assert main(["train", "--resume", "cut"]) == 0
         assert progress(Path("whole")) == progress(Path("cut"))
         assert same_checkpoint(Path("whole"), Path("cut"))
 
@@ -268,9 +264,7 @@ class TestBadInput:
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "allowed [1, 1e15]"]),
             (["train", "--gama", "0.9"], ["Unrecognized options: --gama", "--gamma FLOAT"]),
-            (["train", "--total-timesteps", "1e4"], ["--total-timesteps", "'1e4'"]),
             (["train", "--touch", "x"], ["invalid choice 'x'", "'on', 'off', 'absent'"]),
-            (["train", "--gamma"], ["Missing value", "--gamma"]),
             (["train", "--n_passes=0"], ["n_passes: found 0, allowed [1, inf)"]),
             (["evaluate"], ["PATH", "tactilerl evaluate --help"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
@@ -280,18 +274,12 @@ class TestBadInput:
             (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
             (["render", "none", "--pose", "start"], ["pose: allowed only without a run folder"]),
-            (["render", "none", "--episode", "-1"], ["episode: found -1"]),
             (["render", "--episode", "1"], ["episode: allowed only with a run folder"]),
             (["render", "--azimuth", "nan"], ["azimuth: found nan, allowed [-360, 360]"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
             (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
             (["train", "--env", "../x:Id"], ["found '../x', which cannot be imported"]),
-            ([*TOY, "--seed", "9" * 5000], ["seed"]),
-            ([*TOY, "--out", "x" * 300], ["name too long"]),
-            (["train", "--out", "a\0b"], ["out: found", "allowed a string"]),
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
-            (["train", "--touch-rule", "smell"], ["found 'smell', allowed: skin, contact, force"]),
-            (["train", "--task", "fly"], ["task: found 'fly', allowed: lift-and-hold, reach-goal"]),
         ],
     )
     def test_one_clear_line(self, capsys, args, words):

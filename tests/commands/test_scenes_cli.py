@@ -37,41 +37,24 @@ def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, cap
     assert json.loads(found)["episodes"] == 6
 
 
-def test_forces_are_learned_from():
-    scene = ["--env", "shadow", *COMMON, "--touch-rule", "force", "--object-seen", "hidden"]
-    assert main(["train", *HER, *scene, "--total-timesteps", "12", "--out", "run"]) == 0
-
-
 class TestEvaluateWithOtherSensors:
-    @pytest.fixture
-    def trained(self):
+    def test_flags_override_the_saved_scene_for_once(self, capsys):
         scene = ["--env", "shadow", *COMMON, "--layout", "5", "--reward", "dense"]
         main(["train", *HER, *scene, "--total-timesteps", "12", "--out", "run"])
-
-    def evaluated(self, capsys, *given):
-        evaluate = ["evaluate", "run", "--episodes", "2", "--workers", "1", "--json"]
-        return json.loads(printed(capsys, [*evaluate, *given]))
-
-    def test_flags_override_the_saved_scene_for_once(self, trained, capsys):
         before = Path("run/config.json").read_text()
-        plain = self.evaluated(capsys)
-        same = self.evaluated(capsys, "--taxel-dead", "0", "--object-seen", "exact")
-        blind = self.evaluated(capsys, "--object-seen", "hidden", "--taxel-stuck", "1")
+        evaluate = ["evaluate", "run", "--episodes", "2", "--workers", "1", "--json"]
+        same = ["--taxel-dead", "0", "--object-seen", "exact"]
+        blind = ["--object-seen", "hidden", "--taxel-stuck", "1"]
+        plain, same, blind = (
+            json.loads(printed(capsys, [*evaluate, *given])) for given in ([], same, blind)
+        )
         assert plain == same
         assert "sensors" not in plain
         assert blind["sensors"] == {"object_seen": "hidden", "taxel_stuck": 1.0}
         assert blind["mean_return"] != plain["mean_return"]
         assert Path("run/config.json").read_text() == before
-
-    @pytest.mark.parametrize(
-        ("given", "named"),
-        [
-            (["--taxel-dead", "-1"], "taxel_dead: found -1.0, allowed [0, 1]"),
-            (["--history", "2"], "--history"),
-        ],
-    )
-    def test_bad_values_are_one_line(self, given, named, trained, capsys):
-        fails_with(capsys, ["evaluate", "run", "--episodes", "1", *given], named)
+        wrong = ["evaluate", "run", "--taxel-dead", "-1"]
+        fails_with(capsys, wrong, "taxel_dead: found -1.0, allowed [0, 1]")
 
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
         main(["train", *PPO, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])

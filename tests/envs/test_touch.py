@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface
-from tactilerl.envs.hands.geometry import Distances, Geom
 from tactilerl.envs.state import Contacts
 from tactilerl.envs.taxel_files import Point
 
@@ -140,22 +139,6 @@ def test_distance_to_a_shape_is_that_to_the_nearest_of_many_points_inside(solid)
         distance = np.sqrt(shape.squared_distance(point[None])[0])
         assert distance <= nearest + 1e-12
         assert nearest - distance < 3e-3
-        is_near = mujocos_distance(shape, point) - distance
-        assert abs(is_near) < 1e-6
-
-
-def mujocos_distance(shape, point):
-    """What MuJoCo says that a point is away from a shape, by halving an interval."""
-    speck = Geom("sphere", (1e-9, 0, 0), tuple(point), (1.0, 0.0, 0.0, 0.0), ())
-    distances, (low, high) = Distances([speck]), (0.0, 0.2)
-    for _ in range(30):
-        middle = (low + high) / 2
-        origin = np.zeros(3), np.eye(3)
-        if distances.within(0, *origin, shape, *origin, middle):
-            high = middle
-        else:
-            low = middle
-    return high
 
 
 @pytest.mark.parametrize("axes", [(0.08, 0.03, 0.03), (0.08, 0.08, 0.01), (0.004, 0.08, 0.1)])

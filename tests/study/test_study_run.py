@@ -51,9 +51,7 @@ def copied(undisturbed, tmp_path):
 class TestRun:
     def test_every_run_is_done_and_nothing_is_left_to_do(self, undisturbed, tmp_path, capsys):
         assert "│ reach  │ 2    │ 0      │" in printed(capsys, ["study", "status", undisturbed])
-        for table in undisturbed.glob(
-            "runs/*/progress.csv"
-        ):  # all are tested, and from the same starts
+        for table in undisturbed.glob("runs/*/progress.csv"):  # tested, from the same starts
             *others, last = csv.DictReader(table.open())
             assert {row["final_test_success_rate"] for row in others} == {""}
             run = str(table.parent)
@@ -175,26 +173,6 @@ class TestFailures:
         fails_with(capsys, args, "config.json: not a run's configuration")
         assert first.checkpoint_file.exists()
 
-    @pytest.mark.parametrize("harm", ["cut off", "gone"])
-    def test_a_finished_run_that_is_no_longer_there_is_trained_again(
-        self, undisturbed, copied, trained_here, tmp_path, capsys, harm
-    ):
-        run = copied.study().runs()[0]
-        table = copied.run_dir(run).table
-        if harm == "gone":
-            shutil.rmtree(copied.run_dir(run).path)
-        else:
-            rows = table.read_text().splitlines(keepends=True)
-            table.write_text("".join(rows[:-1]))
-        state = {"gone": "left", "cut off": "interrupted"}[harm]
-        assert copied.record(run).state == state
-        args = ["study", "run", write(tmp_path), "--out", copied.path, "--jobs", "1"]
-        code = int(harm == "cut off")  # whose checkpoint has seen more: nothing is made up
-        assert "2 runs, 1 to do" in printed(capsys, args, code)
-        if harm == "gone":
-            assert copied.record(run).state == "done"
-            assert learned(copied.path) == learned(undisturbed)
-
     def test_why_it_failed_is_of_this_attempt(self, tmp_path):
         log = tmp_path / "run.log"
         log.write_text("tactilerl: interrupted\nTraceback\nMemoryError\n")
@@ -202,27 +180,19 @@ class TestFailures:
         assert jobs.reason(-9, log, 0) == "killed by signal 9 (Killed)"
 
 
-class TestSharing:
-    @pytest.fixture
-    def folder(self, copied):
-        """A study of which one run is missing."""
-        copied.run_dir(copied.study().runs()[0]).table.unlink()
-        return copied
-
-    def test_a_run_that_somebody_else_trains_is_left_to_them(
-        self, folder, tmp_path, capsys, monkeypatch
-    ):
-        """Without a process, a line in its log or a failure."""
-        run = folder.study().runs()[0]
-        log = folder.beside(run, "log").read_bytes()
-        monkeypatch.setattr(jobs, "_process", None)
-        monkeypatch.setattr(jobs, "LOCK_WAIT", 0)
-        args = ["study", "run", write(tmp_path), "--out", folder.path]
-        with filelock.FileLock(folder.beside(run, "lock")):
-            assert folder.record(run).state == "running"
-            assert "1 runs are trained by another" in printed(capsys, args)
-        assert folder.record(run).state == "interrupted"
-        assert folder.beside(run, "log").read_bytes() == log
+def test_a_run_that_somebody_else_trains_is_left_to_them(copied, tmp_path, capsys, monkeypatch):
+    """Without a process, a line in its log or a failure."""
+    run = copied.study().runs()[0]
+    copied.run_dir(run).table.unlink()
+    log = copied.beside(run, "log").read_bytes()
+    monkeypatch.setattr(jobs, "_process", None)
+    monkeypatch.setattr(jobs, "LOCK_WAIT", 0)
+    args = ["study", "run", write(tmp_path), "--out", copied.path]
+    with filelock.FileLock(copied.beside(run, "lock")):
+        assert copied.record(run).state == "running"
+        assert "1 runs are trained by another" in printed(capsys, args)
+    assert copied.record(run).state == "interrupted"
+    assert copied.beside(run, "log").read_bytes() == log
 
 
 def descendants(pid):
