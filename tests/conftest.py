@@ -12,7 +12,6 @@ import pytest
 import torch
 from filelock import FileLock
 from tactilerl.envs.hands import HANDS
-from tactilerl.envs.simulators import mujoco
 from tactilerl.runs import still
 from tactilerl.scripted import reflexes
 from tactilerl.study import jobs
@@ -110,17 +109,3 @@ def simulator(request):
 def hand(request):
     """Each of the library's in turn."""
     return request.param
-
-
-@pytest.fixture
-def little_memory(monkeypatch, in_tmp):
-    """Scenes in MuJoCo that have too little memory for the constraints of a pressed object; MuJoCo
-    writes a log where it runs."""
-    build = mujoco.build_spec
-
-    def small(scene):
-        spec = build(scene)
-        spec.memory = 2**16
-        return spec
-
-    monkeypatch.setattr(mujoco, "build_spec", small)

@@ -1,6 +1,7 @@
 """What other people's tools do with our environments, and what ours do with theirs."""
 
 import json
+import sys
 
 import gymnasium as gym
 import numpy as np
@@ -25,6 +26,15 @@ def test_a_second_picture_without_a_display_fails_like_the_first():
     done = python("-c", code, MUJOCO_GL="glfw")
     assert done.returncode == 0, done.stderr
     assert len(set(done.stdout.splitlines())) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is a display")
+def test_where_there_is_no_window():
+    made = "import tactilerl; tactilerl.make('shadow', render_mode='human').reset(seed=0)"
+    said = python("-c", made).stderr.splitlines()[-1]
+    assert said.startswith("OSError: render_mode human: no window opens here (no display)")
+    with pytest.raises(ValueError, match="render_mode: found 'human', allowed with simulator mujoco"):
+        tactilerl.make("shadow", simulator="pybullet", render_mode="human").reset(seed=0)
 
 
 def test_a_step_before_the_first_reset_is_said():
