@@ -25,7 +25,7 @@ os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a waiting rank yie
 # A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-still.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes_cli.py does
+still.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes.py does
 
 # The longest first, so that no core is idle at the end.
 LONG = [

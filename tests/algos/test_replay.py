@@ -131,21 +131,6 @@ class TestStoring:
             Replay(7, 8, (3, 3, 2), reward)
 
 
-class TestSaving:
-    def test_reloaded_in_parts_it_samples_the_same(self):
-        whole, parts = make_replay(slots=4), []
-        for numbers in ([1, 2], [3, 4, 5], [6]):
-            whole.store([episode(n, length=3 + n % 3) for n in numbers])
-            parts.append(whole.new_experience())
-        again = make_replay(slots=4, seed=9)
-        for part in parts:
-            again.add_experience(part)
-        again.rng.bit_generator.state = whole.rng.bit_generator.state
-        assert len(again) == len(whole)
-        for a, b in zip(whole.sample(300, 0.8), again.sample(300, 0.8), strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
 def test_goal_observation_copies():
     names = ("observation", "desired_goal", "achieved_goal")
     obs = {name: np.full(2, i, np.float64) for i, name in enumerate(names)}

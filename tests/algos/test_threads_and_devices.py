@@ -47,21 +47,6 @@ BOTH = pytest.mark.parametrize(
 
 
 @BOTH
-def test_denormal_numbers_are_zero_while_it_learns(algorithm, config, env):
-    """Adam's moments of units that are never active fade until they are, and are slow then."""
-    one, seen = learner(True, algorithm, config, env), []
-    one.collect()
-    tiny = torch.full((8,), 1e-38)
-    for adam in (one.actor_adam, one.critic_adam):
-        step = adam.step
-        adam.step = lambda step=step: seen.append(bool((tiny * 0.1 == 0).all())) or step()
-    one.update()
-    assert len(seen) >= 2
-    assert all(seen)
-    assert not (tiny * 0.1 == 0).any()
-
-
-@BOTH
 def test_the_same_bits(algorithm, config, env):
     results = []
     for together in (False, True):

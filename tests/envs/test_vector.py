@@ -15,36 +15,7 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from tactilerl import envs
 from tactilerl.envs import vector
-
-shadow = partial(envs.make, "shadow", task="reach-goal")
-mpl = partial(envs.make, "mpl", task="reach-goal", layout="1")
-
-
-def few_steps(env, number, is_wanted):
-    """Observations and rewards of an episode that follows from its number."""
-    rng = np.random.default_rng(number)
-    seen = [env.reset(seed=number)[0]["observation"]]
-    for _ in range(2 + number % 3):
-        obs, reward, *_ = env.step(rng.uniform(-1, 1, env.action_space.shape))
-        seen += [obs["observation"], [reward]]
-    return np.concatenate(seen)
-
-
-@pytest.mark.parametrize(
-    ("make", "kind"),
-    [(shadow, ThreadPoolExecutor), pytest.param(mpl, ProcessPoolExecutor, marks=pytest.mark.pybullet)],
-)
-def test_any_number_of_workers_gives_the_same(make, kind):
-    results = []
-    for n in (1, 3):
-        with closing(vector.start(make, n)) as workers:
-            assert len(workers) == n
-            assert isinstance(workers._pool, kind if n > 1 else type(None))
-            results.append(list(workers.play(few_steps, range(7))))
-    for one, three in zip(*results, strict=True):
-        np.testing.assert_array_equal(one, three)
 
 
 class Plain(gym.Env):

@@ -1,4 +1,4 @@
-"""A policy leaves the library: as a graph that does what it does, and as a record of what it did."""
+"""Policies leave the library: shipped ones, as a graph that does what they do, as a record of that."""
 
 import csv
 import json
@@ -13,7 +13,9 @@ from tactilerl.runs import policies
 from one_line import fails_with, printed, python
 
 ROOT = Path(__file__).resolve().parents[2]
-HANDOVER = ROOT / "examples/policies/handover_touch"
+POLICIES = ROOT / "examples/policies"
+HANDOVER = POLICIES / "handover_touch"
+RATES = {"handover_touch": (0.7, 1.0), "handover_no_touch": (0.0, 0.5), "shadow_lift": (0.5, 1.0)}
 PPO = ["--hidden", "16", "--steps-per-epoch", "20", "--n-passes", "1"]
 HER = ["--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "1", "--n-batches", "2"]
 HER += ["--n-test-rollouts", "0", "--batch-size", "32"]
@@ -140,3 +142,15 @@ def toy():
     assert main([*toy, "--total-timesteps", "60", "--out", "toy"]) == 0
     Path("begun").mkdir()
     Path("begun/config.json").write_bytes((HANDOVER / "config.json").read_bytes())
+
+
+def test_every_policy_is_evaluated_and_all_are_small():
+    assert {path.name for path in POLICIES.iterdir()} == set(RATES)
+    assert sum(path.stat().st_size for path in POLICIES.rglob("*") if path.is_file()) < 3e6
+
+
+@pytest.mark.parametrize("name", RATES)
+def test_shipped_policies_succeed_as_they_did(name, capsys):
+    evaluate = ["evaluate", POLICIES / name, "--episodes", "4", "--workers", "2", "--json"]
+    low, high = RATES[name]
+    assert low <= json.loads(printed(capsys, evaluate))["success_rate"] <= high

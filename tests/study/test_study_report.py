@@ -13,7 +13,7 @@ import pytest
 from tactilerl import study as package
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, records, report
-from tactilerl.study.grid import Contrast
+from tactilerl.study.grid import Contrast, Run, Setup
 from tactilerl.study.records import StudyFiles
 
 from browser import Browser, needs_chromium
@@ -70,23 +70,14 @@ def by_seed(group, score):
 
 
 class TestNumbers:
-    @pytest.mark.slow
-    def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path, result):
-        assert rows(result, "pybullet_measures")[0]["Tested success"].startswith("–")
+    def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path):
         folder = make_study(tmp_path / "s", 'score = "test"\n' + PAPER_LIKE, n_seeds=2)
-        runs = [run for run in folder.study().runs() if run.setup == "pybullet"]
-        for run in runs[1:]:  # the first was made without
-            table = folder.run_dir(run).table
-            header, *lines = table.read_text().splitlines()
-            lines = [f"{line}," for line in lines[:-1]] + [f"{lines[-1]},0.{4 + (run.group == 'on')}"]
-            table.write_text("\n".join([f"{header},final_test_success_rate", *lines, ""]))
-        tested = analysis.analyse(*records.load(folder.path), 100)
-        cells = [row["Tested success"] for row in rows(tested, "pybullet_measures")]
-        assert cells[1:3] == ["0.40 [0.40, 0.40]", "0.50 [0.50, 0.50]"]
-        assert cells[0].startswith("–")
-        assert rows(tested, "pybullet_comparisons")[0]["Pairs"] == "1 of 2"
-        assert rows(tested, "pybullet_comparisons")[1]["Tested success"].startswith("0.100")
-        assert [row["Tested success"] for row in rows(tested, "runs")[:2]] == ["–", "0.40"]
+        study, runs = records.load(folder.path)
+        one = analysis.analyse(study, runs, 100).setups[0]
+        on, off = (by_seed(one.groups["layout 1", touch], "test") for touch in ("on", "off"))
+        assert on[0] == float(runs[0].rows[-1]["final_test_success_rate"])
+        gap = np.mean([on[seed] - off[seed] for seed in (0, 1)])
+        assert one.pairs["layout 1"].difference.value == pytest.approx(gap)
 
     def test_runs_of_the_same_seed_are_compared_by_their_areas(self, result):
         one = result.setups[0]
@@ -134,13 +125,12 @@ class TestFiles:
     def test_nobody_learns_from_a_collected_study_where_it_was_made(self, folder, tmp_path):
         copy = tmp_path / "secret"
         shutil.copytree(folder.path, copy)
-        runs = folder.study().runs()
-        for run in runs:
-            file = StudyFiles(copy).run_dir(run).config_file
-            data = json.loads(file.read_text())
-            data["run"]["out"] = str(file.parent)
-            file.write_text(json.dumps(data))
-        fail(StudyFiles(copy), runs[0], "checkpoint.pt: damaged")
+        run = folder.study().runs()[0]
+        file = StudyFiles(copy).run_dir(run).config_file
+        data = json.loads(file.read_text())
+        data["run"]["out"] = str(file.parent)
+        file.write_text(json.dumps(data))
+        fail(StudyFiles(copy), run, "checkpoint.pt: damaged")
         path = tmp_path / "c.tar.gz"
         records.collect(copy, path)
         assert "secret" not in gzip.decompress(path.read_bytes()).decode()
@@ -212,3 +202,61 @@ class TestForReaders:
             assert browser.run("document.documentElement.scrollWidth") <= 320
         finally:
             browser.close()
+
+
+class TestAnswers:
+    grid, contrast = {"layout": [1, 2], "touch": ["on", "off"]}, Contrast("touch", "on", "off")
+    setup = Setup("one", {}, grid, [*range(12)], contrast, "success_rate")
+
+    def said(self, gap, p_holm, n=9, score="area"):
+        difference = analysis.Estimate(*gap)
+        pairs = analysis.Pairs([*range(n)], np.ones(n), np.zeros(n), difference, p_holm, p_holm)
+        return report.answer(self.setup, "layout 2", pairs, score)
+
+    @pytest.mark.parametrize(
+        ("gap", "p", "n", "words"),
+        [
+            ((0.1, 0.02, 0.2), 0.02, 9, "touch raised mean success (touch − no touch: +0.10, 95 %"),
+            ((-0.1, -0.2, 0.01), 0.04, 9, "touch lowered mean success (touch − no touch: −0.10, 95 %"),
+            ((0.1, -0.02, 0.2), 0.2, 9, "no significant difference in mean success"),
+            ((0.1, -0.02, 0.2), 0.2, 6, "too few runs to find a difference, which takes 7 pairs"),
+        ],
+    )
+    def test_each_kind_of_answer(self, gap, p, n, words):
+        said = self.said(gap, p, n)
+        assert said.startswith(f"one, layout 2: {words}")
+        assert said.endswith(f"p = {p:.3f}, {n} of 12 pairs).")
+
+    def test_a_bound_below_zero_keeps_its_sign(self):
+        assert "−0.02 to +0.20, p < 0.001" in self.said((0.1, -0.02, 0.2), 1e-4, score="last")
+
+
+class TestCommonRange:
+    """Runs that are compared are scored over the steps that all of them have."""
+
+    def record(self, steps, rates, seed=0):
+        run = Run(f"r{seed}", "one", "all", "on", seed, "success_rate", {})
+        points = zip(map(str, steps), map(str, rates), strict=True)
+        rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
+        return records.Record(run, "done", "", {}, rows)
+
+    def test_it_begins_and_ends_where_all_have_a_rate(self):
+        long = self.record([0, 10, 20, 30, 40], [0, 0, 0.5, 1, 1])
+        short = self.record([5, 15, 25], [0.2, 0.4, 0.6])
+        assert analysis.span([long, short]) == (5, 25)
+        ((area,), (other,)) = (list(x.values()) for x in analysis.scored("area", [long], [short]))
+        # From 5 to 25: 0 up to 10, then up to 0.5 at 20, and 0.75 at 25.
+        assert area == pytest.approx((0 + 0.25 * 10 + 0.625 * 5) / 20)
+        assert other == pytest.approx(0.4)
+
+    def test_what_comes_after_does_not_count(self):
+        steps = np.arange(0, 50, 10)
+        same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
+        short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
+        for score in ("area", "last", "converged"):
+            a, b = (analysis.scored(score, [one], [short]) for one in same)
+            assert a[0][1] == b[0][1] == a[1][2]
+
+    def test_runs_without_a_common_step_are_taken_at_their_ends(self):
+        one, other = self.record([10], [0.3]), self.record([20], [0.6], 1)
+        assert analysis.scored("area", [one], [other]) == [{0: 0.3}, {1: 0.6}]
