@@ -13,11 +13,11 @@ from tactilerl.envs import validation
 from tactilerl.runs.config import RunOptions
 from tactilerl.study import jobs
 
+from one_line import TOY
 from tiny_study import GOOD
 
 FEW = 40
-TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
-TRAIN += ["--total-timesteps", "1"]
+TRAIN = [*TOY, "--total-timesteps", "1"]
 FLAGS = {"recipe", "resume", "out", "layout", "task", "object_size", "timestep"}
 FLAGS = sorted(validation.names(RunOptions) | validation.names(PPOConfig) | FLAGS)
 WORDS = ["", "-1", "0", "1", "0.5", "nan", "-inf", "1e400", "9" * 400, "9" * 5000, "x", "None", "[]"]

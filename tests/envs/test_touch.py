@@ -200,28 +200,14 @@ class TestForce:
         assert together.max() <= state.contacts.forces.sum()
 
     def test_a_taxel_fires_from_its_threshold_up_until_less_than_its_release(self, monkeypatch):
-        layout = """
-            [[patch]]
-            digits = ["index"]
-            segments = ["palm"]
-            rows = 1
-            columns = 2
-            pitch_mm = 4
-            radius_mm = 2
-            threshold_N = 0.5
-            [[taxel]]
-            link = "palm"
-            position = [0, 0, 0]
-        """
-        env = envs.make("mpl", simulator="mujoco", layout=layout)
-        felt = [0.0, 0.49, 0.5, 0.41, 0.39, 0.49]
-        feel = [(np.array([True, True, force < 0.45]), np.full(3, force)) for force in felt]
-        told = iter(feel)
-        monkeypatch.setattr(touch.ForceRule, "feel", lambda *_: next(told))
-        fires = [env.taxel_readings().tolist() for _ in felt]
-        assert [row[0] for row in fires] == [False, False, True, True, False, False]
-        assert [row[2] for row in fires] == [True, False, False, True, True, False]
-        assert [row[0] for row in fires] == [row[1] for row in fires]
+        choices = dict(layout="5", taxel_threshold=0.5, taxel_release=0.4)
+        env = envs.make("mpl", simulator="mujoco", **choices)
+        felt, n = [0.0, 0.49, 0.5, 0.41, 0.39, 0.49], len(env.taxels)
+        told = iter(felt)
+        feel = lambda *_: (np.ones(n, bool), np.full(n, next(told)))  # noqa: E731
+        monkeypatch.setattr(touch.ForceRule, "feel", feel)
+        fires = [set(env.taxel_readings().tolist()) for _ in felt]
+        assert fires == [{False}, {False}, {True}, {True}, {False}, {False}]
 
     def test_an_episode_begins_without_what_fired_in_the_last(self):
         env = envs.make(scene="handover", taxel_threshold=0.1)

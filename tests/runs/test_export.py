@@ -10,7 +10,7 @@ import pytest
 from tactilerl.commands.cli import main
 from tactilerl.runs import policies
 
-from one_line import fails_with, printed, python
+from one_line import TOY, fails_with, printed, python
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ROOT / "examples/policies"
@@ -138,8 +138,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(args, words, toy, capsys):
 @pytest.fixture
 def toy():
     """A run that is not of a hand, and one that was killed before its first checkpoint."""
-    toy = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
-    assert main([*toy, "--total-timesteps", "60", "--out", "toy"]) == 0
+    assert main([*TOY, "--total-timesteps", "60", "--out", "toy"]) == 0
     Path("begun").mkdir()
     Path("begun/config.json").write_bytes((HANDOVER / "config.json").read_bytes())
 

@@ -8,10 +8,10 @@ import pytest
 import tactilerl
 from tactilerl.commands.cli import main
 
+from one_line import TOY
 from study_records import make_study
 from tiny_study import TINY
 
-TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 HAND = ["train", "--algo", "ppo", "--env", "mpl", "--simulator", "mujoco", "--task", "reach-goal"]
 HAND += ["--max-episode-steps", "1", "--hidden", "8", "--steps-per-epoch", "2", "--n-passes", "1"]
 
@@ -19,7 +19,7 @@ HAND += ["--max-episode-steps", "1", "--hidden", "8", "--steps-per-epoch", "2", 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
-    assert main([*TRAIN, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
+    assert main([*TOY, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
     assert main([*HAND, "--total-timesteps", "1", "--out", str(folder / "hand")]) == 0
     make_study(folder / "study", TINY)
     return folder
