@@ -1,5 +1,4 @@
-"""Shared by all tests: each hand and each simulator, what is skipped without PyBullet, one thread of
-PyTorch, MPI allowed for root, studies without processes, a MuJoCo that warns."""
+"""Shared by all tests: each hand and simulator, what is skipped without PyBullet, one thread of PyTorch."""
 
 import os
 import signal
@@ -75,9 +74,7 @@ def one_launch(launches):
 
 @pytest.fixture
 def trained_here(monkeypatch):
-    """Runs of a study are trained by the command that they are always trained by, but without a
-    process each, which takes seconds to start; with `--jobs 1`, because they share one output."""
-
+    """Runs of a study are trained without a process each; with `--jobs 1`: they share one output."""
     monkeypatch.setattr(jobs, "_process", in_this_process)
 
 

@@ -78,10 +78,6 @@ def test_pytorchs_own_generator_is_left_alone():
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
-def learner(name, env, choices, **more):
-    return getattr(tactilerl, name)(env, **choices, **more)
-
-
 def observations(env, n=7):
     """(single ones, the same as a batch)"""
     space = tactilerl.make(env).observation_space
@@ -122,7 +118,7 @@ class TestLearner:
         assert torch.get_num_threads() == 1  # as it was trained
 
         made = tactilerl.make(env)
-        agent = learner(name, made, choices, seed=3).learn(steps)
+        agent = getattr(tactilerl, name)(made, **choices, seed=3).learn(steps)
         agent.save("policy.pt")
         singles, batch = observations(env)
         policies = [agent.policy(), tactilerl.load_policy("policy.pt"), tactilerl.load_policy("run")]

@@ -1,6 +1,4 @@
-"""Several processes: equal parameters on all ranks, one writer, and no rank left waiting.
-
-Two ranks do all of it in one launch, since each imports PyTorch for seconds."""
+"""Several processes: equal parameters on all ranks, one writer, no rank left waiting; in one launch."""
 
 import json
 import os

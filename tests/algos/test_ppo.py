@@ -34,11 +34,9 @@ ROBUST = {**asdict(recipes.recipe("ppo", "robust")), **SMALL, "minibatch_size": 
 class ScriptedEnv(gym.Env):
     """Rewards, observations and ends of episodes are given; random ones follow from the seed."""
 
-    def __init__(
-        self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None, space=None
-    ):
+    def __init__(self, obs=None, reward=None, length=5, terminated=True, info=None, space=None):
         self.observation_space = space or gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.obs = obs or (lambda rng: rng.standard_normal(3).astype(np.float32))
         self.reward = reward or (lambda rng: float(rng.standard_normal()))
         self.info = info or (lambda step: {})
@@ -79,8 +77,8 @@ def values_of(ppo, obs):
     return ppo.critic(torch.from_numpy(np.stack(obs))).detach().numpy().ravel()
 
 
-class TestGAE:
-    def test_three_steps_by_hand(self):
+class TestAdvantagesAndLoss:
+    def test_advantages_of_three_steps_by_hand(self):
         # gamma = lambda = 1/2; deltas: 1 + .5*2 - 1 = 1, 2 + .5*4 - 2 = 2, 3 + 0 - 4 = -1
         # backwards: -1, 2 - 1/4 = 1.75, 1 + 1.75/4 = 1.4375
         rewards, values = np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])
@@ -88,8 +86,6 @@ class TestGAE:
         # with 6 after them the last delta is 3 + .5*6 - 4 = 2
         assert gae(rewards, values, 6.0, 0.5, 0.5).tolist() == [1.0 + (2.0 + 2.0 / 4) / 4, 2.5, 2.0]
 
-
-class TestDensityAndLoss:
     def test_clipped_loss_case_by_case(self):
         # ratios 1.5, 1.5, 0.5, 0.5 and advantages 1, -1, 1, -1 at clip 0.2:
         # min(1.5, 1.2) = 1.2; min(-1.5, -1.2) = -1.5; min(.5, .8) = .5; min(-.5, -.8) = -.8

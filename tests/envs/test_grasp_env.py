@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import pickle
 import warnings
-from pathlib import Path
 
 import gymnasium as gym
 import mujoco
@@ -18,7 +17,6 @@ from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
-GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 
 
 def make(**choices):

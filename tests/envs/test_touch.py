@@ -47,8 +47,7 @@ def rule_at(surfaces, places):
 
 
 def read(surface, rows, shape, position, rotation):
-    """What taxels `rows` m along a surface feel, their link turned anyhow in the world, the object as
-    seen from it."""
+    """What taxels `rows` m along a surface feel, of an object that is placed as seen from their link."""
     turn, place = Rotation.random(rng=3).as_matrix(), np.array([0.3, 0.1, 0.2])
     taxels, rule = rule_at([surface], [(0, row) for row in rows])
     moved = turn @ np.array(position) + place, turn @ rotation
@@ -236,8 +235,7 @@ class TestForce:
 
 
 def pressed_on_palm(place):
-    """What MuJoCo reads of a sensor at (x, y) m, or of none, under a cube that 0.3 N press; and the
-    state."""
+    """What MuJoCo reads of a sensor at (x, y) m, or of none, under a pressed cube; and the state."""
     sensor = ""
     if place is not None:
         x, y = place

@@ -187,10 +187,7 @@ class TestConfig:
         CONFIG.write_text(json.dumps(data))
         fails_with(capsys, ["evaluate", "run"], "config.json", words)
         fails_with(capsys, RESUME, "config.json", words)
-
-    @pytest.mark.parametrize("text", ["", "[]"])
-    def test_what_is_no_configuration(self, ppo, capsys, text):
-        CONFIG.write_text(text, encoding="utf-8")
+        CONFIG.write_text("[]")
         fails_with(capsys, RESUME, "config.json: not a run's configuration")
 
 

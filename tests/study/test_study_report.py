@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from browser import Browser, needs_chromium
 from one_line import fails_with, printed
 from study_records import PAPER_LIKE, fail, interrupt, make_study
 
-ROOT = Path(__file__).parents[2]
 RESAMPLES = 500
 LOADED = """new Promise((go) => {
     const isThere = () => document.readyState === "complete" && document.title;
@@ -55,14 +53,6 @@ def contents(path):
 
 def reported(capsys, path):
     return printed(capsys, ["study", "report", path, "--overwrite"])
-
-
-def parts(result, kind):
-    return [p for *_, parts in report.sections(result) for p in parts if isinstance(p, kind)]
-
-
-def rows(result, name):
-    return next(t for t in parts(result, report.Table) if t.name == name).rows
 
 
 def by_seed(group, score):

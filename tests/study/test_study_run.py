@@ -19,6 +19,8 @@ from tactilerl.study.records import StudyFiles
 from one_line import fails_with, printed
 from tiny_study import TINY, learned, trained, write
 
+CHOSEN = Path(__file__).resolve().parents[2] / "docs/data/chosen"
+
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
@@ -108,19 +110,16 @@ class TestBeforeItStarts:
         fails_with(capsys, args, "measure: found test_success_rate, but ppo has no tests")
 
     def test_a_layout_that_was_changed_since(self, tmp_path, capsys):
-        layout, study = tmp_path / "own.toml", write(tmp_path)
-        place = '[[taxel]]\nlink = "robot0:ffdistal"\nposition = [0, -0.007, 0.017]\n'
-        layout.write_text(place + "normal = [0.1, -0.97, 0.11]\nradius = 0.002\n")
-        study.write_text(
-            f'name = "x"\n[setups.x]\nenv = "shadow"\nlayout = "{layout}"\ntotal_timesteps = 1\n'
-            "steps_per_epoch = 1\nhidden = [8]\nn_passes = 1\nmax_episode_steps = 2\n"
-        )
-        out = trained(tmp_path, study.read_text())
-        args = ["study", "run", study, "--out", out]
+        layout = tmp_path / "own.toml"
+        shutil.copy(CHOSEN / "shadow_touch_4.toml", layout)
+        text = f'name = "x"\n[setups.x]\nenv = "shadow"\nlayout = "{layout}"\ntotal_timesteps = 1\n'
+        text += "steps_per_epoch = 1\nhidden = [8]\nn_passes = 1\nmax_episode_steps = 2\n"
+        out = trained(tmp_path, text)
+        args = ["study", "run", tmp_path / "study.toml", "--out", out]
         assert "0 to do" in printed(capsys, args)
         layout.rename(tmp_path / "away.toml")
         assert "0 to do" in printed(capsys, args)  # each run has its own copy
-        layout.write_text((tmp_path / "away.toml").read_text().replace("0.002", "0.003"))
+        shutil.copy(CHOSEN / "shadow_touch_8.toml", layout)
         fails_with(capsys, args, "own.toml: found other taxels than when this run began")
 
 
