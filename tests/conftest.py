@@ -1,4 +1,4 @@
-"""Shared by all tests: each hand and simulator, what is skipped without PyBullet, one thread of PyTorch."""
+"""Shared by all tests: each hand and simulator, what is skipped without PyBullet, one thread each."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Nothing that is not asked for changes an episode: its bits are those of the first version that had it."""
+"""Nothing that is not asked for changes an episode: its bits are those of the first version with it."""
 
 import hashlib
 from importlib.metadata import PackageNotFoundError, version

@@ -47,7 +47,7 @@ def rule_at(surfaces, places):
 
 
 def read(surface, rows, shape, position, rotation):
-    """What taxels `rows` m along a surface feel, of an object that is placed as seen from their link."""
+    """What taxels `rows` m along a surface feel of an object that is placed as seen from their link."""
     turn, place = Rotation.random(rng=3).as_matrix(), np.array([0.3, 0.1, 0.2])
     taxels, rule = rule_at([surface], [(0, row) for row in rows])
     moved = turn @ np.array(position) + place, turn @ rotation
