@@ -56,6 +56,11 @@ def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
     return setup, runs
 
 
+def both(runs: list[Record], setup: Setup, setting: str) -> list[list[Record]]:
+    """Return the runs of treatment and control in a setting."""
+    return [study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2]]
+
+
 def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     """Return a score of each run, by group and seed; "final" is the mean over the last tenth."""
     if score != "final":
@@ -111,7 +116,7 @@ def layouts(name: str, setup_name: str = "") -> None:
     setup, runs = load_setup(name, setup_name)
     pairs, finals = {}, {}
     for setting in setup.settings:
-        groups = [study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2]]
+        groups = both(runs, setup, setting)
         pairs[setting] = paired(*groups)
         finals[setting] = scored("final", *groups)[0]
     scripted = reflexes(name)
@@ -179,8 +184,7 @@ def senses() -> None:
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for setting in settings:
-            pairs = study_pairs.in_pairs(study_pairs.both_groups(runs, setup, setting, "area"))
-            row.append(estimate(pairs.difference, "+.2f"))
+            row.append(estimate(paired(*both(runs, setup, setting)).difference, "+.2f"))
         rows.append(row)
     noises = (f"joint error {setting.removeprefix('joint noise held ')} rad" for setting in settings)
     markdown(f"| sight | {' | '.join(noises)} |", rows)
@@ -194,7 +198,7 @@ def over_layouts() -> None:
     study, runs = load("paper")
     rows, pairs = [], []
     for setup in study.setups:
-        settings = [study_pairs.both_groups(runs, setup, setting, "area") for setting in setup.settings]
+        settings = [scored("area", *both(runs, setup, setting)) for setting in setup.settings]
         seeds, scores = in_common([group for groups in zip(*settings, strict=True) for group in groups])
         means = scores.reshape(2, len(settings), len(seeds)).mean(axis=1)
         pair = study_pairs.in_pairs([dict(zip(seeds, group, strict=True)) for group in means])
@@ -216,10 +220,7 @@ def converged(setup_name: str) -> None:
     rows = []
     for setting in setup.settings:
         theirs = next(rates), next(rates)
-        ours = (
-            np.mean([*one.values()])
-            for one in study_pairs.both_groups(runs, setup, setting, "converged")
-        )
+        ours = (np.mean([*one.values()]) for one in scored("converged", *both(runs, setup, setting)))
         rows.append((label(setting), *theirs, *(f"{rate:.2f}" for rate in ours)))
     markdown("| layout | paper: touch | no touch | ours: touch | no touch |", rows)
 
@@ -264,8 +265,8 @@ def picture() -> Figure:
     setup, runs = load_setup("handover_fingers")
     levels: dict[str, list[Estimate]] = {style.ROLES[group]: [] for group in setup.groups}
     for setting in setup.settings:
-        groups = (study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups)
-        for of_group, reached in zip(levels.values(), scored("final", *groups), strict=True):
+        reached_by = scored("final", *both(runs, setup, setting))
+        for of_group, reached in zip(levels.values(), reached_by, strict=True):
             of_group.append(average(reached.values()))
     names = [f"layout {label(setting)}" for setting in setup.settings]
     figure = drawn(levels, names, style.GROUPS)
