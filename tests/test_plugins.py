@@ -146,9 +146,9 @@ def test_a_learner_of_ones_own_learns_and_resumes_exactly(monkeypatch, capsys):
     monkeypatch.delitem(algos.ALGORITHMS, "cem", raising=False)
     imported, few = ["--import", "own_learner"], ["--population", "20", "--n-elite", "4"]
     args = ["train", *imported, "--algo", "cem", "--env", "lqr", *few, "--workers", "1"]
-    assert main([*args, "--total-timesteps", "24000", "--out", "whole"]) == 0
-    assert main([*args, "--total-timesteps", "12000", "--out", "cut"]) == 0
-    resume = ["train", *imported, "--resume", "cut", "--total-timesteps", "24000"]
+    assert main([*args, "--total-timesteps", "12_000", "--out", "whole"]) == 0
+    assert main([*args, "--total-timesteps", "6_000", "--out", "cut"]) == 0
+    resume = ["train", *imported, "--resume", "cut", "--total-timesteps", "12_000"]
     assert main(resume) == 0
     whole, cut = (
         json.loads(printed(capsys, ["evaluate", *imported, run, "--episodes", "20", "--json"]))
