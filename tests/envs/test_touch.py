@@ -202,9 +202,8 @@ class TestForce:
         choices = dict(layout="5", taxel_threshold=0.5, taxel_release=0.4)
         env = envs.make("mpl", simulator="mujoco", **choices)
         felt, n = [0.0, 0.49, 0.5, 0.41, 0.39, 0.49], len(env.taxels)
-        told = iter(felt)
-        feel = lambda *_: (np.ones(n, bool), np.full(n, next(told)))  # noqa: E731
-        monkeypatch.setattr(touch.ForceRule, "feel", feel)
+        told = iter([(np.ones(n, bool), np.full(n, force)) for force in felt])
+        monkeypatch.setattr(touch.ForceRule, "feel", lambda *_: next(told))
         fires = [set(env.taxel_readings().tolist()) for _ in felt]
         assert fires == [{False}, {False}, {True}, {True}, {False}, {False}]
 

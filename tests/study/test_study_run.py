@@ -114,6 +114,7 @@ class TestBeforeItStarts:
         shutil.copy(CHOSEN / "shadow_touch_4.toml", layout)
         text = f'name = "x"\n[setups.x]\nenv = "shadow"\nlayout = "{layout}"\ntotal_timesteps = 1\n'
         text += "steps_per_epoch = 1\nhidden = [8]\nn_passes = 1\nmax_episode_steps = 2\n"
+        text += "n_test_episodes = 1\n"
         out = trained(tmp_path, text)
         args = ["study", "run", tmp_path / "study.toml", "--out", out]
         assert "0 to do" in printed(capsys, args)
@@ -128,6 +129,7 @@ class TestFailures:
         self, tmp_path, capsys, trained_here
     ):
         small = 'env = "lqr"\nhidden = [8]\nsteps_per_epoch = 60\nn_passes = 1\ntotal_timesteps = 60\n'
+        small += "n_test_episodes = 1\n"
         text = f'name = "x"\n[setups.x]\n{small}critic_lr = 1e30\n[setups.y]\n{small}'
         run = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out", "--jobs", "1"]
         said = printed(capsys, run, code=1)
