@@ -255,6 +255,8 @@ class TestBadInput:
             (["render", "--azimuth", "nan"], ["azimuth: found nan, allowed [-360, 360]"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
             (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
+            (["train", "--scen", "handover"], ["--scene STR"]),
+            (["train", "--env", "shadwo"], ["did you mean shadow?"]),
             (["train", "--env", "../x:Id"], ["found '../x', which cannot be imported"]),
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
         ],
@@ -262,18 +264,6 @@ class TestBadInput:
     def test_one_clear_line(self, capsys, args, words):
         fails_with(capsys, args, *words)
         assert not list(Path().iterdir())
-
-    @pytest.mark.parametrize(
-        ("typed", "hint"),
-        [
-            ("train --scen handover", "--scene STR"),
-            ("train --env shadwo", "did you mean shadow?"),
-            ("train --env shadov --layout 4", "did you mean shadow? allowed: shadow, mpl, allegro"),
-            ("gate --scene handover --touch off", "touch"),
-        ],
-    )
-    def test_what_was_meant(self, typed, hint, capsys):
-        fails_with(capsys, typed.split(), hint)
 
     def test_a_way_to_draw_that_is_not_here(self):
         pytest.importorskip("imageio.v2")

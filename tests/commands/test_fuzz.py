@@ -11,10 +11,8 @@ from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands.cli import main
 from tactilerl.envs import validation
 from tactilerl.runs.config import RunOptions
-from tactilerl.study import jobs
 
 from one_line import TOY
-from tiny_study import GOOD
 
 FEW = 40
 TRAIN = [*TOY, "--total-timesteps", "1"]
@@ -113,13 +111,3 @@ def test_files(tried, cases, file, args, good, n):
         bad = mutated(good, rng)
         path.write_text(bad, encoding="utf-8")
         tried(args, bad)
-
-
-def test_studies(tried, cases, monkeypatch):
-    """Everything but the training itself, which takes minutes where a study is still one."""
-    monkeypatch.setattr(jobs, "run_all", lambda todo, pool, on_end: None)
-    rng = random.Random(6)
-    for i in cases(400):
-        Path("study.toml").write_text(mutated(GOOD, rng) if i else GOOD, encoding="utf-8")
-        code = tried(["study", "run", "study.toml", "--out", f"out/{i}"], f"study {i}")
-        assert i or code == 1  # nothing is trained

@@ -70,16 +70,14 @@ def taxels(config):
 
 
 USUAL = taxels(GraspConfig())
+FSR = {"taxel_saturates": 20.0, "taxel_gain_spread": 0.06, "taxel_radius": 0.00381}
 
 
 @pytest.mark.parametrize(
     ("choices", "expected"),
     [
         ({"sensor": "fsr", "taxel_threshold": 0.0}, {"taxel_threshold": 0.0, "taxel_radius": 0.00381}),
-        (
-            {"sensor": "fsr", "touch_rule": "force"},
-            {"taxel_saturates": 20.0, "taxel_gain_spread": 0.06, "taxel_radius": 0.00381},
-        ),
+        ({"sensor": "fsr", "touch_rule": "force"}, FSR),
         ({"sensor": "fsr", "touch": "off"}, {}),
         ({"sensor": "biotac", "control_dt": 0.004}, {"taxel_delay": 2}),
         ({"sensor": "tactile_genesis", "taxel_dead": 0.0}, {"taxel_dead": 0.0}),

@@ -35,10 +35,7 @@ WRONG = [
     ({"friction": "0..1"}, r"friction: found 0.0, allowed \(0, 10\]"),
     ({"start_offset": 0.02, "jitter": False}, "start_offset: found 0.02, allowed only with jitter"),
     ({"object": "mug.stl"}, "object: found 'mug.stl', allowed: box, sphere, cylinder, capsule, ell"),
-    (
-        {"object": "capsule", "object_size": (0.03, 0.03, 0.05)},
-        "found 3 numbers, allowed for a capsule",
-    ),
+    ({"object": "capsule", "object_size": (0.03, 0.03, 0.05)}, "3 numbers, allowed for a capsule"),
     ({"object": "ellipsoid", "simulator": "pybullet"}, "object: found ellipsoid, allowed only with"),
     ({"skin_thickness": 0.003, "simulator": "pybullet"}, "skin_thickness: found 0.003, allowed only"),
     ({"skin_thickness": 0.001}, r"skin_thickness: found 0.001, allowed \[0.002, 0.004\]"),
