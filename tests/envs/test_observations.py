@@ -1,5 +1,7 @@
 """What the policy is told: sight, joint noise, faulty taxels, history; and what stays true."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -30,6 +32,11 @@ def episode(env, seed=3, n=8):
     return dict(zip(names, np.array(seen).T, strict=True)), np.array(achieved), np.array(rewards)
 
 
+@cache
+def plain_episode(n=8):
+    return episode(make(), n=n)
+
+
 def entries(told, start):
     return np.array([values for name, values in told.items() if name.startswith(start)]).T
 
@@ -48,7 +55,7 @@ def entries(told, start):
     ids=str,
 )
 def test_only_what_is_told_changes_and_a_seed_repeats_it(choices):
-    plain, told, again = (episode(make(**c)) for c in ({}, choices, choices))
+    plain, told, again = plain_episode(), episode(make(**choices)), episode(make(**choices))
     np.testing.assert_array_equal(plain[1], told[1])  # achieved goals and rewards keep the truth
     np.testing.assert_array_equal(plain[2], told[2])
     changed = {name for name in plain[0] if not np.array_equal(plain[0][name], told[0][name])}
@@ -63,7 +70,7 @@ def test_only_what_is_told_changes_and_a_seed_repeats_it(choices):
 
 class TestSight:
     def test_hidden_is_zero_and_start_is_the_start(self):
-        plain, _, _ = episode(make())
+        plain, _, _ = plain_episode()
         hidden, _, _ = episode(make(object_seen="hidden"))
         start, _, _ = episode(make(object_seen="start"))
         assert list(hidden) == list(plain)
@@ -96,7 +103,7 @@ class TestSight:
 
 class TestJoints:
     def errors(self, start, **choices):
-        plain, _, _ = episode(make(), n=15)
+        plain, _, _ = plain_episode(15)
         noisy, _, _ = episode(make(**choices), n=15)
         return entries(noisy, start) - entries(plain, start)
 
@@ -156,7 +163,7 @@ class TestTaxels:
 
 class TestHistory:
     def test_side_by_side_newest_first_taxels_last(self):
-        plain, _, _ = episode(make())
+        plain, _, _ = plain_episode()
         told, _, _ = episode(make(history=3))
         names = [name for name in plain if not name.startswith("taxel")]
         assert list(told)[: len(names)] == names
