@@ -118,14 +118,6 @@ def in_pairs(groups: Sequence[BySeed], n_resamples: int = N_RESAMPLES) -> Pairs:
     return Pairs(seeds, a, b, difference, p_value)
 
 
-def both_groups(
-    records: Sequence[Record], setup: Setup, setting: str, score: str
-) -> list[BySeed]:
-    """Return the scores of treatment and control in a setting."""
-    groups = (runs_of(records, setup, setting, group) for group in setup.groups[:2])
-    return scored(score, *groups)
-
-
 # -- a whole study ---------------------------------------------------------------------------
 
 
