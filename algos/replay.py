@@ -140,7 +140,7 @@ class Replay:
         self._unsaved.append(slot)
 
     def episodes(self, slots: Array) -> tuple[Array, Array]:
-        """Return observations (k, max_steps + 1, obs) and actions in slots (k,), with rows beyond ends."""
+        """Return observations and actions (k, max_steps + 1, ...) in slots (k,), whole."""
         return self._columns["obs"][slots], self._columns["action"][slots]
 
     # -- sampling ----------------------------------------------------------------------------
