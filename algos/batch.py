@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import zip_longest
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
@@ -25,9 +25,9 @@ from torch import Tensor, nn
 from torch.nn.utils.rnn import pad_sequence
 
 from . import Array, DivergenceError, rollout
-from .ddpg_her import DDPGHER, VIEW, Exploration, GoalInputs, tested
+from .ddpg_her import DDPGHER, VIEW, Exploration, tested
 from .normalizer import Scaling
-from .policy import OBS, Noise, finite
+from .policy import OBS, SEEN, Noise, finite
 from .ppo import PPO, ActorLoss, Transitions, gaussian_noise, surrogate
 from .replay import Batch, Relabelled
 from .rollout import REWARD, Episode, Key, summary
@@ -67,10 +67,9 @@ class Networks:
         first, *rest = (p.shape for p in runs[0][0].parameters())
         self.shapes = [(*first[:-1], len(columns[0])), *rest]
         self.sizes = [*map(math.prod, self.shapes)]
-        weights, others = torch.arange(sum(self.sizes)).tensor_split([self.sizes[0]])
-        weights = weights.view(self.shapes[0])
+        others = torch.ones(sum(self.sizes[1:]), dtype=torch.bool)
         self.places = [
-            torch.cat([weights[..., own].ravel(), others]) for own in columns
+            torch.cat([own.expand(self.shapes[0]).ravel(), others]) for own in columns
         ]
         self.rows = torch.zeros(3, len(runs), sum(self.sizes), device=device)
         self.flat = self.rows[0]
@@ -168,10 +167,12 @@ class BatchLearner:
     of its own, `i` W to `(i + 1)` W, all at once; one that has enough episodes waits for the others.
     """
 
+    view: ClassVar[Sequence[str]]
+    """Parts of observations that a single learner keeps; networks see the first two."""
+    stats: ClassVar[Sequence[str]]
+    """Names of the normalizers of what networks see."""
     networks: Sequence[Networks]
     """All that `write` gives back to the single learners."""
-    kept: Sequence[Tensor]
-    """What each single learner keeps of whole observations, bool (...,)."""
 
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
@@ -198,20 +199,29 @@ class BatchLearner:
         )
         self.n_actions = math.prod(env.single_action_space.shape)
         self.e = torch.arange(len(learners), device=self.device)[:, None]
+        self.kept = self.columns(self.n_goal * (len(self.view) - 1))
         self.failures, self.on = dict[int, str](), list[int]()
+        self.inputs = self.columns(self.n_goal)
+        self.actor = self.stacked("actor", self.inputs, "actor_adam")
         self.build()
 
     def build(self) -> None:
-        """Stack the learners' `networks`; set `kept`."""
+        """Stack the critics, and all else that an algorithm has; set `networks`."""
         raise NotImplementedError
 
     def look(self) -> None:
-        """Scale what networks are given as the runs' normalizers now do."""
-        raise NotImplementedError
+        """Scale what networks are given as the single learners' normalizers now do."""
+        scalings = [
+            [torch.stack([*getattr(one, name).scaling()]) for name in self.stats]
+            for one in self.learners
+        ]
+        each = (torch.cat(parts, dim=1) for parts in scalings)
+        whole = torch.stack([*map(spread, each, self.inputs)], dim=1)
+        self.scale = Scaling(*whole[:, :, None].to(self.device))
 
-    def act(self, seen: Tensor) -> Tensor:
-        """Return actions without exploration (E, W, d) from whole observations (E, W, ...)."""
-        raise NotImplementedError
+    def scaled(self, seen: Tensor) -> Tensor:
+        """Return what networks are given for observations and goals side by side, (E, n, ...)."""
+        return self.scale(seen)
 
     def explore(self, rngs: Rngs) -> Noise:
         """Return the exploration of an episode in each of some worlds, with their generators."""
@@ -233,12 +243,6 @@ class BatchLearner:
         """Return the networks that single learners have by this name, with their Adams, if any."""
         runs = [(getattr(one, name), getattr(one, adam, None)) for one in self.learners]
         return Networks(runs, columns, self.device)
-
-    def scaling(self, name: str, columns: Sequence[Tensor]) -> Scaling:
-        """Return what single learners' normalizers do to values now, (E, 1, width)."""
-        each = [torch.stack([*getattr(one, name).scaling()]) for one in self.learners]
-        parts = torch.stack([*map(spread, each, columns)], dim=1)
-        return Scaling(*parts[:, :, None].to(self.device))
 
     def numbers(self, values: Iterable[float]) -> Tensor:
         """Return a number of each run, (E, 1)."""
@@ -262,13 +266,13 @@ class BatchLearner:
             self.on = [j for j in self.on if j != i]
             return None
 
-    def checked(self, means: Tensor) -> dict[int, list[float]]:
+    def checked(self, names: Iterable[str], means: Tensor) -> Rows:
         """Return means (k, E) by run; one with means or parameters that are not finite fails."""
         weights = [networks.flat.sum(dim=1) for networks in self.networks]
         rows = torch.stack([*means, *weights], dim=1).tolist()
         for i in self.on:
             self.tried(i, self.learners[i].check_learned, rows[i])
-        return {i: rows[i][: len(means)] for i in self.on}
+        return {i: dict(zip(names, rows[i], strict=False)) for i in self.on}
 
     # -- episodes ----------------------------------------------------------------------------
 
@@ -282,23 +286,18 @@ class BatchLearner:
             lambda i, played: bool(self.tried(i, self.learners[i].wants_more, played)),
             self.explore,
         )
-        rows = {i: self.tried(i, self._keep, i, episodes[i]) for i in self.on}
+        keep = {i: self.learners[i].keep for i in self.on}
+        rows = {i: self.tried(i, keep[i], episodes[i]) for i in self.on}
         return {i: row for i, row in rows.items() if row}
-
-    def _keep(self, i: int, episodes: list[Episode]) -> dict[str, float]:
-        """Let run `i` keep its episodes, with its own part of the observations."""
-        for episode in _finite(episodes):
-            episode.obs = episode.obs[:, self.kept[i]]  # type: ignore[call-overload]
-        row: dict[str, float] = self.learners[i].keep(episodes)
-        return row
 
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
         played = self.play(
             keys, lambda _, mine: len(mine) < n, lambda rngs: lambda actions: actions
         )
-        usable = {i: self.tried(i, _finite, mine) for i, mine in played.items()}
-        return {i: summary(mine) for i, mine in usable.items() if mine}
+        return {
+            i: summary(mine) for i, mine in played.items() if i not in self.failures
+        }
 
     def test(self, asked: Iterable[int]) -> Rows:
         """Return how good the runs that are asked for are without exploration; may be empty."""
@@ -352,9 +351,9 @@ class BatchLearner:
         success, terminated = live & False, live & False
         begins = live = live & ~diverged
         while live.any():
-            chosen = self.act(seen.unflatten(0, (-1, n_worlds)))  # type: ignore[no-untyped-call]
-            taken = noisy(chosen.flatten(0, 1).cpu().numpy())
-            taken = np.nan_to_num(taken)  # of runs that fail
+            by_run = seen[:, : len(self.inputs[0])].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
+            chosen = self.actor(self.scaled(by_run)).flatten(0, 1)
+            taken = np.nan_to_num(noisy(chosen.cpu().numpy()))  # of runs that fail
             actions[begins, lengths[begins]] = taken[begins]
             on_device = torch.from_numpy(taken.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
@@ -370,52 +369,39 @@ class BatchLearner:
             diverged |= broken
             begins = stepped & ~(ends[0] | ends[1])
             live = begins | holds
-        on_host = views.cpu().numpy()
-        return {
-            world: Episode(
-                obs=on_host[world, : lengths[world] + 1],  # type: ignore[arg-type]
-                actions=actions[world, : lengths[world]],  # type: ignore[arg-type]
-                rewards=rewards[world, : lengths[world]].tolist(),
+        on_host, episodes = views.cpu().numpy(), dict[int, Episode]()
+        for world in rngs:
+            i, length = world // n_worlds, lengths[world]
+            mine: Any = on_host[world, : length + 1][:, self.kept[i]]
+            episodes[world] = Episode(
+                obs=mine,
+                actions=actions[world, :length],  # type: ignore[arg-type]
+                rewards=rewards[world, :length].tolist(),
                 terminated=bool(terminated[world]),
                 success=float(success[world]),
                 faults={"diverged": int(diverged[world]), "warnings": 0},
             )
-            for world in rngs
-        }
+            self.tried(i, finite, mine, OBS)
+            self.tried(i, finite, episodes[world].rewards, REWARD)
+        return episodes
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
-        return torch.cat([obs[key] for key in VIEW], dim=-1)
-
-
-def _finite(episodes: list[Episode]) -> list[Episode]:
-    """Return episodes; DivergenceError where one has what is not finite, as in a single run."""
-    for episode in episodes:
-        finite(episode.obs, OBS)
-        finite(episode.rewards, REWARD)
-    return episodes
+        return torch.cat([obs[key] for key in self.view], dim=-1)
 
 
 class BatchPPO(BatchLearner):
     """Learn E runs by PPO."""
 
+    view, stats = SEEN, ("obs_stats",)
+
     def build(self) -> None:
-        """Stack actors, their standard deviations, and critics."""
-        self.inputs = self.columns(self.n_goal)
-        unseen = torch.zeros(self.n_goal, dtype=torch.bool)  # the achieved goal
-        self.kept = [torch.cat([own, unseen]) for own in self.inputs]
-        self.actor = self.stacked("actor", self.inputs, "actor_adam")
-        every = torch.ones(self.n_actions, dtype=torch.bool)
-        self.log_std = self.stacked("gaussian", [every] * len(self.e), "std_adam")
+        """Stack standard deviations of actors, and critics."""
+        every = [torch.ones(self.n_actions, dtype=torch.bool)] * len(self.e)
+        self.log_std = self.stacked("gaussian", every, "std_adam")
         self.critic = self.stacked("critic", self.inputs, "critic_adam")
         is_fixed = self.config.exploration == "fixed"
         self.actors = [self.actor] if is_fixed else [self.actor, self.log_std]
         self.networks = [*self.actors, self.critic]
-
-    def look(self) -> None:
-        self.scale = self.scaling("obs_stats", self.inputs)
-
-    def act(self, seen: Tensor) -> Tensor:
-        return self.actor(self.scale(seen[..., : len(self.inputs[0])]))
 
     def _std(self) -> Tensor:
         """Return each run's standard deviation of actions, (E, 1, d)."""
@@ -466,11 +452,11 @@ class BatchPPO(BatchLearner):
                 is_far = last_kl > self.config.target_kl[:, 0]
                 for i in is_far.nonzero()[:, 0].tolist():
                     passes[i] = iter(())
-        said, names = Rows(), (*ActorLoss._fields, "value_loss")
-        for i, means in self.checked(sums / n_updates[:, 0]).items():
+        names = *ActorLoss._fields, "value_loss"
+        said = self.checked(names, sums / n_updates[:, 0])
+        for i, row in said.items():
             self.write(i)
-            after = self.learners[i].after_update(*mine[i], int(n_updates[i]))
-            said[i] = dict(zip(names, means, strict=True)) | after
+            row |= self.learners[i].after_update(*mine[i], int(n_updates[i]))
         return said
 
     def _step(
@@ -535,15 +521,15 @@ class Draws:
 class BatchDDPGHER(BatchLearner):
     """Learn E runs by DDPG with hindsight."""
 
+    view, stats = VIEW, ("obs_stats", "goal_stats")
+
     def build(self) -> None:
-        """Stack networks and their targets, and what networks see of the replays."""
-        inputs, singles = self.columns(self.n_goal), self.learners
+        """Stack critics and target networks, and what networks see of the replays."""
+        singles = self.learners
         with_actions = self.columns(self.n_goal + self.n_actions)
-        self.kept = self.columns(2 * self.n_goal)
-        self.actor = self.stacked("actor", inputs, "actor_adam")
         self.critic = self.stacked("critic", with_actions, "critic_adam")
         targets = (
-            self.stacked("target_actor", inputs),
+            self.stacked("target_actor", self.inputs),
             self.stacked("target_critic", with_actions),
         )
         self.networks = [self.actor, self.critic, *targets]
@@ -562,29 +548,15 @@ class BatchDDPGHER(BatchLearner):
         for i, one in enumerate(singles):
             self._memorize(i, np.arange(one.replay.n_episodes))
 
-    def look(self) -> None:
-        every = torch.ones(self.n_goal, dtype=torch.bool)
-        self.inputs = GoalInputs(
-            self.scaling("obs_stats", self.columns(0)),
-            self.scaling("goal_stats", [every] * len(self.e)),
-            self.config.clip_obs[..., None],
-        )
-
-    def act(self, seen: Tensor) -> Tensor:
-        obs, goal, _ = seen.split([self.width, self.n_goal, self.n_goal], dim=-1)  # type: ignore[no-untyped-call]
-        return self.actor(self.inputs(obs, goal))
+    def scaled(self, seen: Tensor) -> Tensor:
+        limit = self.config.clip_obs[..., None]
+        return super().scaled(seen.clamp(-limit, limit))
 
     def explore(self, rngs: Rngs) -> Noise:
         acting = [one.config.acting(one.progress_remaining) for one in self.learners]
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in acting]
         by_world = np.repeat(values, self.n_worlds, axis=0)
         return Exploration(Draws(rngs), *np.split(by_world, 3, axis=1))
-
-    def collect(self) -> Rows:
-        rows = super().collect()
-        for i in self.on:
-            self._memorize(i, self.learners[i].new_slots)
-        return rows
 
     def test(self, asked: Iterable[int]) -> Rows:
         n = self.config.n_test_rollouts * self.config.n_rollouts
@@ -611,6 +583,7 @@ class BatchDDPGHER(BatchLearner):
         drawn = dict[int, Relabelled]()
         for i in self.on:
             one = singles[i]
+            self._memorize(i, one.new_slots)
             size = n * self.config.batch_size
             drawn[i] = one.replay.relabel(size, one.config.replay_p)
             factor = one.rescale(drawn[i].reward)
@@ -629,11 +602,9 @@ class BatchDDPGHER(BatchLearner):
         bounds = (self.numbers(getattr(one, name) for one in scales) for name in names)
         whole.reward_scale = SimpleNamespace(**dict(zip(names, bounds, strict=True)))
         means = whole.learn(self._batch(drawn)) / n
-        rows, keys = Rows(), ("critic_loss", "actor_loss", "mean_q")
-        for i, mine in self.checked(means).items():
-            rows[i] = dict(zip(keys, mine, strict=True)) | {"updates": n}
-            rows[i]["mean_q"] *= scales[i].unit
-        return rows
+        means[2] *= whole.reward_scale.unit[:, 0]
+        rows = self.checked(("critic_loss", "actor_loss", "mean_q"), means)
+        return {i: {**row, "updates": n} for i, row in rows.items()}
 
     def _batch(self, drawn: Mapping[int, Relabelled]) -> Batch:
         """Return drawn transitions (E, n, ...); of runs that are off, any."""
@@ -643,13 +614,16 @@ class BatchDDPGHER(BatchLearner):
         one = Relabelled(*(part.to(self.device) for part in stacks))
         here, following = (self.memory[self.e, one.slot, one.step + k] for k in (0, 1))
         return Batch(
-            obs=self.inputs(here[..., : self.width], one.goal),
+            obs=self._seen(here, one.goal),
             goal=one.goal,
             action=here[..., self.width :],
             reward=one.reward,
-            next_obs=self.inputs(following[..., : self.width], one.goal),
+            next_obs=self._seen(following, one.goal),
             terminal=one.terminal,
         )
+
+    def _seen(self, memory: Tensor, goal: Tensor) -> Tensor:
+        return self.scaled(torch.cat([memory[..., : self.width], goal], dim=-1))
 
 
 BATCHED: dict[type, type[Any]] = {PPO: BatchPPO, DDPGHER: BatchDDPGHER}

@@ -24,10 +24,11 @@ from torch import Tensor
 from . import tasks, touch
 from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv, checked
 from .hold import Trial
-from .objects import host
+from .objects import KINDS, host
 from .observations import OF_HAND, TAXELS
 from .simulators import batch as simulators
 from .state import Array, State
+from .validation import require_one_of
 
 T = TypeVar("T")
 Obs = dict[str, Any]
@@ -53,13 +54,9 @@ def require_batched(configs: Sequence[GraspConfig]) -> None:
         ("simulator", ["mujoco"]),
         ("touch_rule", rules),
         ("task", kinds),
+        ("object", KINDS),
     ):
-        if (value := getattr(first, name)) not in allowed:
-            raise ValueError(
-                f"{name}: found {value!r} in a batch, allowed: {', '.join(allowed)}"
-            )
-    if "," in first.object:
-        raise ValueError(f"object: found {first.object!r} in a batch, allowed one kind")
+        require_one_of(allowed, getattr(first, name), f"{name} of a batch")
 
 
 class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
@@ -100,7 +97,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.num_envs = n = sum(sizes)
         kinds = [_without_idle_seed(config) for config in configs]
         envs = {kind: GraspEnv(hand, kind) for kind in dict.fromkeys(kinds)}
-        self._single = single = envs[kinds[0]]
+        self.singles = [envs[kind] for kind in kinds]
+        """The environment of each group, which plays a world of it alone."""
+        single = self.singles[0]
         self.config, self.hand, self.task = single.config, single.hand, single.task
         self.max_episode_steps = single.max_episode_steps
         self.simulator = simulators.make(single.simulator.scene, n, device)
@@ -118,13 +117,11 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": mode}
         self.single_action_space = single.action_space
         self.action_space = batch_space(single.action_space, n)
-        spaces: Any = [envs[kind].observation_space for kind in kinds]
-        self.group_observation_spaces = tuple(spaces)
-        """What the worlds of each group observe."""
+        spaces: Any = [one.observation_space for one in self.singles]
         widths = [space["observation"].shape[0] for space in spaces]
         self.single_observation_space = widest = spaces[np.argmax(widths)]
         self.observation_space = batch_space(widest, n)
-        self._rngs = np.full(n, None)
+        self._rngs = np.array([np.random.default_rng() for _ in range(n)])
         self._targets = np.tile(single.hand.start_targets(), (n, 1))
         self._steps, self._position = np.zeros(n, int), np.zeros((n, 3))
         self._holding, self._over = np.zeros(n, bool), np.ones(n, bool)
@@ -156,7 +153,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             seeds = [seed + i for i in range(n)]
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
-                self._rngs[i], _ = gym.utils.seeding.np_random(int(seeds[i]))
+                self._rngs[i] = np.random.default_rng(int(seeds[i]))
         self._begin(mask)
         self._observe(*self._look(), mask, mask)
         return self._results(), self._info(np.zeros(n, bool), np.zeros(n, bool))
@@ -166,9 +163,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         worlds, n = np.flatnonzero(mask), self.num_envs
         if not len(worlds):
             return
-        for i in worlds:
-            self._rngs[i] = self._rngs[i] or np.random.default_rng()
-        drawn = self._single.draw_start(Draws(self._rngs, mask))
+        drawn = self.singles[0].draw_start(Draws(self._rngs, mask))
         item, start, self._observer_draws, self._task_draws = drawn
         half_size = np.stack(item.shape.half_size, axis=-1)
         what = half_size, item.mass, item.friction
@@ -290,10 +285,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         holding = self._holding.copy()
         return {"is_success": success, "diverged": diverged, "holding": holding}
 
-    def close_extras(self, **kwargs: Any) -> None:
-        """Release what the simulator holds."""
-        self.simulator.close()
-
 
 def _without_idle_seed(config: GraspConfig) -> GraspConfig:
     """Return a scene without the seed of its hand where hands do not differ."""
@@ -388,16 +379,14 @@ class Draws:
         return partial(self._draw, name)
 
     def _draw(self, name: str, *bounds: Any, size: Any = (), **options: Any) -> Any:
-        asked = name, *np.empty(size).shape
-        is_again = asked == self._asked and not (bounds or options)
-        n_rows = self.n_ahead if is_again else 1
-        shape = len(self.left), n_rows, *asked[1:]
-        if shape != self._rows.shape:
-            if self.left.any():
-                only = "allowed only from a generator of its own"
-                raise ValueError(f"{name}: found after {self._asked[0]}, {only}")
-            self._rows = np.zeros(shape)
-        self._asked = asked
+        n_rows = 1 if bounds or options else self.n_ahead
+        asked = name, len(self.left), n_rows, *np.empty(size).shape
+        shape = asked[1:]
+        if asked != self._asked:
+            assert not self.left.any(), (
+                "numbers drawn ahead need a generator of their own"
+            )
+            self._asked, self._rows = asked, np.zeros(shape)
         for i in np.flatnonzero(self.which & (self.left == 0)):
             draw = getattr(self.rngs[i], name)
             self._rows[i] = draw(*bounds, size=shape[1:], **options)

@@ -19,9 +19,10 @@ from torch import Tensor
 from ..objects import Shape
 from ..state import Array, Contacts, State, places
 from . import Scene
-from .batch import MAX_CONTACTS, BatchSimulator
+from .batch import BatchSimulator
 from .mujoco import GIVERS_GROUP, MujocoSimulator
 
+MAX_CONTACTS = 32  # of hand and object in a world
 # Room of a world: its contacts, and rows of constraints.
 N_CONTACTS, N_ROWS = 48, 160
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
@@ -151,13 +152,14 @@ class WarpSimulator(BatchSimulator):
     ) -> None:
         """Reset worlds as `MujocoSimulator` does."""
         now, rows, data = self._now, self._indices(which), self.plain.data
-        starts: Any = {"qpos": [], "act": [], "ctrl": []}
+        starts = []
         for start in zip(joints, position, yaw, strict=True):
             self.plain.set_start(*start)
-            for name, values in starts.items():
-                values.append(getattr(data, name).copy())
-        for name, values in starts.items():
-            getattr(now, name)[rows] = self.tensor(np.reshape(values, (len(which), -1)))
+            starts.append([part.copy() for part in (data.qpos, data.act, data.ctrl)])
+        for part, values in zip(
+            (now.qpos, now.act, now.ctrl), zip(*starts, strict=True), strict=False
+        ):
+            part[rows] = self.tensor(np.stack(values))
         now.qvel[rows] = now.qacc_warmstart[rows] = 0.0
         now.overflow[rows] = 0
         self.let_go(which)

@@ -7,7 +7,6 @@ faults, seed and numbers of their learners. Each has its own folder, as if it ha
 from __future__ import annotations
 
 import math
-import os
 import signal
 import sys
 import threading
@@ -17,7 +16,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -27,10 +25,11 @@ import torch
 from .. import algos
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
-from ..envs import tasks
+from ..envs import tasks, vector
 from ..envs.batch import BY_GROUP, BatchEnv, require_batched
 from ..envs.grasp import GraspConfig
-from ..errors import InputError, input_errors
+from ..envs.simulators import batch as simulators
+from ..errors import input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
@@ -40,32 +39,18 @@ from .grid import Run
 from .jobs import Job
 from .records import StudyFiles
 
-DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
-PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: at most so many, or three
+DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
+PROCESSES = 3  # that train batches, at most
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
 SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
 
 
-def device() -> str:
-    """Return the device that batches are trained on here."""
-    return os.environ.get(DEVICE, "cuda")
-
-
 def require_device() -> None:
     """Raise InputError naming what is missing for `--on gpu`."""
-    if device() == "loop":
-        return
-    if find_spec("mujoco_warp") is None:  # which needs warp itself
-        raise InputError(
-            "--on gpu: found no mujoco_warp, which this needs: pip install 'tactilerl[gpu]'"
-        )
-    if not torch.cuda.is_available():
-        raise InputError(
-            f"--on gpu: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
-            "GPU, its driver, and PyTorch for CUDA (https://pytorch.org/get-started)"
-        )
+    with input_errors("--on gpu"):
+        simulators.require(DEVICE)
 
 
 # -- the study's side ------------------------------------------------------------------------
@@ -76,11 +61,8 @@ class Batch(NamedTuple):
 
     name: str
     runs: tuple[Run, ...]
-
-    @property
-    def worlds(self) -> int:
-        """Number of worlds of each run."""
-        return n_worlds(self.runs[0].config())
+    worlds: int
+    """Number of worlds of each run."""
 
 
 def n_worlds(config: RunConfig) -> int:
@@ -103,11 +85,12 @@ def form(runs: Sequence[Run]) -> tuple[list[Batch], list[tuple[Run, str]]]:
     batches = list[Batch]()
     for members in groups.values():
         config = members[0].config()
-        size = max(1, MAX_WORLDS // n_worlds(config))
+        n = n_worlds(config)
+        size = max(1, MAX_WORLDS // n)
         for i in range(0, len(members), size):
             name = f"{Path(config.run.env).stem} {config.run.algo}"
             name += f" {len(batches) + 1}" if name in {b.name for b in batches} else ""
-            batches.append(Batch(name, tuple(members[i : i + size])))
+            batches.append(Batch(name, tuple(members[i : i + size]), n))
     return batches, others
 
 
@@ -135,7 +118,7 @@ def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list
             f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds"
         )
     n = side_by_side or SIDE_BY_SIDE
-    n_jobs = min(n, len(batches), int(os.environ.get(PROCESSES, 3)))
+    n_jobs = min(n, len(batches), PROCESSES)
     return [
         Job(
             folder,
@@ -156,10 +139,7 @@ def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
     them at their next steps, with their last checkpoints.
     """
     require_device()
-    batches, others = form(runs)
-    for run, reason in others:
-        raise InputError(f"run {run.name}: {reason}")
-    futures = []
+    batches, futures = form(runs)[0], []
     free, stop = threading.Semaphore(side_by_side), threading.Event()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, lambda *_: stop.set())
@@ -189,25 +169,6 @@ class _Worlds(BatchEnv):
         return super().step(actions)
 
 
-class _Seat:
-    """Show a learner the spaces that its run has in the batch, in place of workers."""
-
-    def __init__(self, env: BatchEnv, group: int) -> None:
-        self.observation_space = env.group_observation_spaces[group]
-        self.action_space = env.single_action_space
-        self.max_episode_steps = env.max_episode_steps
-        self._reward = env.task.compute_reward
-
-    def __len__(self) -> int:
-        return 1
-
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any) -> Any:
-        return np.asarray(self._reward(achieved_goal, desired_goal))
-
-    def compute_terminated(self, achieved_goal: Any, desired_goal: Any) -> None:
-        """Say nothing: no task of ours does."""
-
-
 @dataclass
 class _Member:
     """A run of a batch, and where its table stands."""
@@ -229,14 +190,14 @@ class _Training:
     ) -> None:
         self.name, self.files, self.stop = batch.name, files, stop
         self.members, singles = list[_Member](), list[Any]()
-        where, alone, configs = device(), Communicator(), list[RunConfig]()
+        alone, configs = Communicator(), list[RunConfig]()
         for run in batch.runs:
             run_dir = files.run_dir(run)
             config = run_dir.settled(run.config().choose({"out": str(run_dir.path)}))
             held.enter_context(training.writing(run_dir, config, alone))
             configs.append(config)
-        about = {"runs": len(configs), "device": where}
-        if where != "loop":
+        about = {"runs": len(configs), "device": DEVICE}
+        if DEVICE != "loop":
             about["device"] = torch.cuda.get_device_name()
             console.print(
                 f"[{self.name}] building; where kernels are not in the cache yet, they are compiled, "
@@ -246,13 +207,12 @@ class _Training:
         with input_errors():
             groups: Any = [(config.place[1], batch.worlds) for config in configs]
             hand, _ = configs[0].place
-            env = _Worlds(hand, groups, where, autoreset=False)
+            env = _Worlds(hand, groups, DEVICE, autoreset=False)
             env.stop = stop
-            held.callback(env.close)
-            for i, config in enumerate(configs):
-                seat: Any = _Seat(env, i)
+            for single, config in zip(env.singles, configs, strict=True):
                 options = config.run.seed, config.run.total_timesteps, env.device
-                singles.append(algorithm(config.learner, seat, alone, *options))
+                workers = vector.Workers(single)
+                singles.append(algorithm(config.learner, workers, alone, *options))
         about["worlds"] = env.num_envs
         for run, config, one in zip(batch.runs, configs, singles, strict=True):
             checkpoint = Checkpoint(files.run_dir(run), one, alone)
@@ -262,7 +222,7 @@ class _Training:
         self.n_test_episodes = configs[0].run.n_test_episodes
         self.begin = self.saved = self.shown = time.monotonic()
         self.steps_before = self.steps
-        if where != "loop":
+        if DEVICE != "loop":
             torch.cuda.synchronize()  # what was built is ready for other streams
 
     @property
@@ -275,7 +235,7 @@ class _Training:
 
         Release `free` then, and stop all others on errors.
         """
-        stream = torch.cuda.Stream() if device() != "loop" else None  # type: ignore[no-untyped-call]
+        stream = torch.cuda.Stream() if DEVICE != "loop" else None  # type: ignore[no-untyped-call]
         try:
             with torch.cuda.stream(stream):
                 self.train()

@@ -51,8 +51,8 @@ grid = {seed = 0}
 
 @pytest.fixture
 def in_a_loop(monkeypatch, trained_here):
-    monkeypatch.setenv(batch.DEVICE, "loop")
-    monkeypatch.setenv(batch.PROCESSES, "1")  # they share one output
+    monkeypatch.setattr(batch, "DEVICE", "loop")
+    monkeypatch.setattr(batch, "PROCESSES", 1)  # they share one output
     monkeypatch.setattr(batch, "SPARE", 0.5)
 
 
@@ -61,7 +61,7 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
     args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "2"]
     assert main(args) == 0
     said = capsys.readouterr().out
-    assert "not on a GPU: bullet_s0: simulator: found 'pybullet'" in said
+    assert "not on a GPU: bullet_s0: simulator of a batch: found 'pybullet'" in said
     assert "batch mpl ppo: 4 runs" in said
     assert "batch mpl ddpg_her: 2 runs" in said
     all_records = [one for one in records.load(out)[1] if one.run.setup != "bullet"]
@@ -177,7 +177,6 @@ def test_a_study_without_a_batch_is_refused(tmp_path, in_a_loop, capsys):
 
 
 def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv(batch.DEVICE, raising=False)
     args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]
     has_extra = shutil.which("nvidia-smi") or torch.cuda.is_available()
     if has_extra:
