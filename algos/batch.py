@@ -107,12 +107,10 @@ class Networks:
     def __call__(self, x: Tensor) -> Tensor:
         """Return what MLPs return (E, n, outputs) for inputs (E, n, width)."""
         pieces = self.flat.split(self.sizes, dim=1)  # type: ignore[no-untyped-call]
-        parts = iter(
-            [p.unflatten(1, s) for p, s in zip(pieces, self.shapes, strict=True)]
-        )
+        parts = [p.unflatten(1, s) for p, s in zip(pieces, self.shapes, strict=True)]
         for layer in self.runs[0][0].children():
             if isinstance(layer, nn.Linear):
-                weight, bias = next(parts), next(parts)
+                weight, bias, *parts = parts
                 x = torch.baddbmm(bias[:, None], x, weight.mT)
             else:
                 x = layer(x)
@@ -171,6 +169,8 @@ class BatchLearner:
     """Parts of observations that a single learner keeps; networks see the first two."""
     stats: ClassVar[Sequence[str]]
     """Names of the normalizers of what networks see."""
+    n_tests = 0
+    """Number of episodes of a test at the end of an epoch."""
     networks: Sequence[Networks]
     """All that `write` gives back to the single learners."""
 
@@ -195,9 +195,9 @@ class BatchLearner:
         """The hyperparameters, of which floats are (E, 1)."""
         spaces = env.single_observation_space
         self.width, self.n_goal = (
-            math.prod(spaces[key].shape) for key in ("observation", "desired_goal")
+            spaces[key].shape[0] for key in ("observation", "desired_goal")
         )
-        self.n_actions = math.prod(env.single_action_space.shape)
+        self.n_actions = env.single_action_space.shape[0]
         self.e = torch.arange(len(learners), device=self.device)[:, None]
         self.kept = self.columns(self.n_goal * (len(self.view) - 1))
         self.failures, self.on = dict[int, str](), list[int]()
@@ -211,13 +211,12 @@ class BatchLearner:
 
     def look(self) -> None:
         """Scale what networks are given as the single learners' normalizers now do."""
-        scalings = [
-            [torch.stack([*getattr(one, name).scaling()]) for name in self.stats]
-            for one in self.learners
-        ]
-        each = (torch.cat(parts, dim=1) for parts in scalings)
-        whole = torch.stack([*map(spread, each, self.inputs)], dim=1)
-        self.scale = Scaling(*whole[:, :, None].to(self.device))
+        each = list[Tensor]()
+        for one, own in zip(self.learners, self.inputs, strict=True):
+            stats = (getattr(one, name).scaling() for name in self.stats)
+            parts = torch.cat([torch.stack([*scaling]) for scaling in stats], dim=1)
+            each.append(spread(parts, own))
+        self.scale = Scaling(*torch.stack(each, dim=1)[:, :, None].to(self.device))
 
     def scaled(self, seen: Tensor) -> Tensor:
         """Return what networks are given for observations and goals side by side, (E, n, ...)."""
@@ -236,7 +235,7 @@ class BatchLearner:
         """Return which inputs each run has: its own part of the observation, and all of `n_more`."""
         columns = torch.ones(len(self.learners), self.width + n_more, dtype=torch.bool)
         for own, one in zip(columns, self.learners, strict=True):
-            own[one.spaces.observation["observation"].shape[0] : self.width] = False
+            own[one.n_inputs - self.n_goal : self.width] = False
         return [*columns]
 
     def stacked(self, name: str, columns: Sequence[Tensor], adam: str = "") -> Networks:
@@ -281,53 +280,53 @@ class BatchLearner:
         self.on = self.active
         for i in self.on:
             self.learners[i].begin()
-        episodes = self.play(
-            {i: self.learners[i].key(rollout.TRAIN) for i in self.on},
-            lambda i, played: bool(self.tried(i, self.learners[i].wants_more, played)),
-            self.explore,
-        )
-        keep = {i: self.learners[i].keep for i in self.on}
-        rows = {i: self.tried(i, keep[i], episodes[i]) for i in self.on}
-        return {i: row for i, row in rows.items() if row}
+        episodes = self.play({i: self.learners[i].key(rollout.TRAIN) for i in self.on})
+        rows = Rows()
+        for i in self.on:
+            if row := self.tried(i, self.learners[i].keep, episodes[i]):
+                rows[i] = row
+        return rows
 
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
-        played = self.play(
-            keys, lambda _, mine: len(mine) < n, lambda rngs: lambda actions: actions
-        )
+        played = self.play(keys, n)
         return {
             i: summary(mine) for i, mine in played.items() if i not in self.failures
         }
 
-    def test(self, asked: Iterable[int]) -> Rows:
-        """Return how good the runs that are asked for are without exploration; may be empty."""
-        return {}
+    def test(self, runs: Iterable[int]) -> Rows:
+        """Return how good these runs are without exploration, where their learner tests that."""
+        keys = {i: self.learners[i].key(rollout.TEST) for i in runs if self.n_tests}
+        return {i: tested(row) for i, row in self.play_best(keys, self.n_tests).items()}
 
     @torch.no_grad()
     def play(
-        self,
-        keys: Mapping[int, Key],
-        wants_more: Callable[[int, list[Episode]], bool],
-        explore: Callable[[Rngs], Noise],
+        self, keys: Mapping[int, Key], n: int | None = None
     ) -> dict[int, list[Episode]]:
-        """Play episodes 0, 1, 2, ... of the runs with these keys until each has enough of them.
+        """Play episodes 0, 1, 2, ... of the runs with these keys until each has enough to learn from.
 
-        `explore` returns what adds noise from the generators of worlds that begin.
+        Or `n` episodes of each, without exploration.
         """
         self.look()
         episodes = {i: list[Episode]() for i in keys}
-        wanted, first = dict(keys), 0
+
+        def wants_more(i: int) -> bool:
+            if n is not None:
+                return len(episodes[i]) < n
+            return bool(self.tried(i, self.learners[i].wants_more, episodes[i]))
+
+        wanted, first = [*keys], 0
         while wanted:
-            for world, episode in self._wave(wanted, first, explore).items():
-                i = world // self.n_worlds
-                if wants_more(i, episodes[i]):
+            now = {i: keys[i] for i in wanted}
+            for world, episode in self._wave(now, first, n is None).items():
+                if wants_more(i := world // self.n_worlds):
                     episodes[i].append(episode)
-            wanted = {i: keys[i] for i in wanted if wants_more(i, episodes[i])}
+            wanted = [*filter(wants_more, wanted)]
             first += self.n_worlds
         return episodes
 
     def _wave(
-        self, keys: Mapping[int, Key], first: int, explore: Callable[[Rngs], Noise]
+        self, keys: Mapping[int, Key], first: int, explores: bool
     ) -> dict[int, Episode]:
         """Play one episode, number `first` and following, in each world of the runs with keys."""
         env, n, n_worlds = self.env, self.env.num_envs, self.n_worlds
@@ -336,8 +335,10 @@ class BatchLearner:
             for i, key in keys.items()
             for w in range(n_worlds)
         }
-        draws = {world: int(rng.integers(2**31)) for world, rng in rngs.items()}
-        noisy, seeds = explore(rngs), [draws.get(world) for world in range(n)]
+        seeds: list[int | None] = [None] * n
+        for world, rng in rngs.items():
+            seeds[world] = int(rng.integers(2**31))
+        explore = self.explore(rngs) if explores else np.asarray
         every, n_rows = np.arange(n), env.max_episode_steps + 1
         live = np.isin(every, [*rngs])
         obs, info = env.reset(seed=seeds, options={"reset_mask": live})
@@ -353,7 +354,7 @@ class BatchLearner:
         while live.any():
             by_run = seen[:, : len(self.inputs[0])].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
             chosen = self.actor(self.scaled(by_run)).flatten(0, 1)
-            taken = np.nan_to_num(noisy(chosen.cpu().numpy()))  # of runs that fail
+            taken = np.nan_to_num(explore(chosen.cpu().numpy()))  # of runs that fail
             actions[begins, lengths[begins]] = taken[begins]
             on_device = torch.from_numpy(taken.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
@@ -389,6 +390,27 @@ class BatchLearner:
         return torch.cat([obs[key] for key in self.view], dim=-1)
 
 
+class Draws:
+    """Generators of many worlds as one: what they draw has the worlds in front, 0 in all others."""
+
+    def __init__(self, rngs: Rngs, n_ahead: int = 1) -> None:
+        """Take the generators; draw so often at once where they are asked for the same all the time."""
+        self._rngs, self._n_ahead, self._left = rngs, n_ahead, list[Array]()
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a method of generators; its last argument is the shape."""
+        return partial(self._draw, name)
+
+    def _draw(self, name: str, *arguments: Any, **dtype: Any) -> Array:
+        if not self._left:
+            *bounds, (n, *shape) = arguments
+            drawn = np.zeros((n, self._n_ahead, *shape), **dtype)
+            for world, rng in self._rngs.items():
+                drawn[world] = getattr(rng, name)(*bounds, drawn.shape[1:], **dtype)
+            self._left = [*drawn.swapaxes(0, 1)]
+        return self._left.pop(0)
+
+
 class BatchPPO(BatchLearner):
     """Learn E runs by PPO."""
 
@@ -409,14 +431,8 @@ class BatchPPO(BatchLearner):
         return at_start * self.log_std.flat[:, None].exp()
 
     def explore(self, rngs: Rngs) -> Noise:
-        """Draw the noise of whole episodes at once."""
-        shape = self.env.num_envs, self.env.max_episode_steps, self.n_actions
-        noise, stds = np.zeros(shape, np.float32), self._std()[:, 0].cpu().numpy()
-        for world, rng in rngs.items():
-            draw = gaussian_noise(rng, stds[world // self.n_worlds])
-            noise[world] = draw(noise[world])
-        steps = iter(noise.swapaxes(0, 1))
-        return lambda actions: actions + next(steps, 0.0)
+        stds = self._std()[:, 0].cpu().numpy().repeat(self.n_worlds, axis=0)
+        return gaussian_noise(Draws(rngs, self.env.max_episode_steps), stds)
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
@@ -500,24 +516,6 @@ class BatchPPO(BatchLearner):
             networks.step()
 
 
-class Draws:
-    """Generators of many worlds as one: what they draw has the worlds in front, 0 in all others."""
-
-    def __init__(self, rngs: Rngs) -> None:
-        self._rngs = rngs
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a method of generators; its last argument is the shape."""
-        return partial(self._draw, name)
-
-    def _draw(self, name: str, *arguments: Any, **dtype: Any) -> Array:
-        *bounds, shape = arguments
-        drawn = np.zeros(shape, **dtype)
-        for world, rng in self._rngs.items():
-            drawn[world] = getattr(rng, name)(*bounds, shape[1:], **dtype)
-        return drawn
-
-
 class BatchDDPGHER(BatchLearner):
     """Learn E runs by DDPG with hindsight."""
 
@@ -525,7 +523,8 @@ class BatchDDPGHER(BatchLearner):
 
     def build(self) -> None:
         """Stack critics and target networks, and what networks see of the replays."""
-        singles = self.learners
+        config, singles = self.config, self.learners
+        self.n_tests = config.n_test_rollouts * config.n_rollouts
         with_actions = self.columns(self.n_goal + self.n_actions)
         self.critic = self.stacked("critic", with_actions, "critic_adam")
         targets = (
@@ -557,12 +556,6 @@ class BatchDDPGHER(BatchLearner):
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in acting]
         by_world = np.repeat(values, self.n_worlds, axis=0)
         return Exploration(Draws(rngs), *np.split(by_world, 3, axis=1))
-
-    def test(self, asked: Iterable[int]) -> Rows:
-        n = self.config.n_test_rollouts * self.config.n_rollouts
-        runs = [i for i in asked if n and i not in self.failures]
-        keys = {i: self.learners[i].key(rollout.TEST) for i in runs}
-        return {i: tested(row) for i, row in self.play_best(keys, n).items()}
 
     def _memorize(self, i: int, slots: Array) -> None:
         """Copy episodes of a run's replay to the device."""
@@ -597,12 +590,12 @@ class BatchDDPGHER(BatchLearner):
         polyak = torch.where(on == 1, self.config.polyak, 1.0)
         whole.config = dataclasses.replace(self.config, polyak=polyak)
         whole.action_l2 = self.numbers(one.action_l2 for one in singles)[:, 0]
-        scales = [one.reward_scale for one in singles]
-        names = "unit", "lowest", "highest"
-        bounds = (self.numbers(getattr(one, name) for one in scales) for name in names)
-        whole.reward_scale = SimpleNamespace(**dict(zip(names, bounds, strict=True)))
+        scale = whole.reward_scale = SimpleNamespace()
+        for name in ("unit", "lowest", "highest"):
+            values = (getattr(one.reward_scale, name) for one in singles)
+            setattr(scale, name, self.numbers(values))
         means = whole.learn(self._batch(drawn)) / n
-        means[2] *= whole.reward_scale.unit[:, 0]
+        means[2] *= scale.unit[:, 0]
         rows = self.checked(("critic_loss", "actor_loss", "mean_q"), means)
         return {i: {**row, "updates": n} for i, row in rows.items()}
 
@@ -612,18 +605,11 @@ class BatchDDPGHER(BatchLearner):
         each = [drawn.get(i, first) for i in range(len(self.learners))]
         stacks = (torch.from_numpy(np.stack(part)) for part in zip(*each, strict=True))
         one = Relabelled(*(part.to(self.device) for part in stacks))
-        here, following = (self.memory[self.e, one.slot, one.step + k] for k in (0, 1))
-        return Batch(
-            obs=self._seen(here, one.goal),
-            goal=one.goal,
-            action=here[..., self.width :],
-            reward=one.reward,
-            next_obs=self._seen(following, one.goal),
-            terminal=one.terminal,
-        )
-
-    def _seen(self, memory: Tensor, goal: Tensor) -> Tensor:
-        return self.scaled(torch.cat([memory[..., : self.width], goal], dim=-1))
+        rows = [self.memory[self.e, one.slot, one.step + k] for k in (0, 1)]
+        whole = (torch.cat([r[..., : self.width], one.goal], dim=-1) for r in rows)
+        obs, next_obs = map(self.scaled, whole)
+        action = rows[0][..., self.width :]
+        return Batch(obs, one.goal, action, one.reward, next_obs, one.terminal)
 
 
 BATCHED: dict[type, type[Any]] = {PPO: BatchPPO, DDPGHER: BatchDDPGHER}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import is_dataclass, replace
 from functools import partial
 from operator import itemgetter
 from typing import Any, TypeVar
@@ -36,15 +36,8 @@ BY_GROUP = frozenset(("layout", "touch", "hand_seed", "sensor", *TAXELS))
 """Fields in which the groups of a batch may differ."""
 
 
-def require_batched(configs: Sequence[GraspConfig]) -> None:
-    """Raise ValueError naming what keeps these scenes from being one batch."""
-    first = configs[0]
-    for field in fields(GraspConfig):
-        values = {getattr(config, field.name) for config in configs}
-        if field.name not in BY_GROUP and len(values) > 1:
-            raise ValueError(
-                f"{field.name}: found {values} in a batch, allowed one value"
-            )
+def shared(config: GraspConfig) -> tuple[Any, ...]:
+    """Return what the scenes of a batch have in common; ValueError for one that can be in none."""
     # In the class itself: one of somebody else's may override what its base does.
     rules, kinds = (
         [name for name, kind in known.items() if vars(kind).get("is_batched")]
@@ -56,7 +49,8 @@ def require_batched(configs: Sequence[GraspConfig]) -> None:
         ("task", kinds),
         ("object", KINDS),
     ):
-        require_one_of(allowed, getattr(first, name), f"{name} of a batch")
+        require_one_of(allowed, getattr(config, name), f"{name} of a batch")
+    return tuple(v for k, v in vars(config).items() if k not in BY_GROUP)
 
 
 class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
@@ -92,7 +86,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         Raise ValueError for scenes that do not go together.
         """
         configs = [config for config, _ in groups]
-        require_batched(configs)
+        if len({shared(config) for config in configs}) > 1:
+            allowed = ", ".join(sorted(BY_GROUP))
+            raise ValueError(f"groups: found scenes that differ, allowed in: {allowed}")
         sizes = [size for _, size in groups]
         self.num_envs = n = sum(sizes)
         kinds = [_without_idle_seed(config) for config in configs]
@@ -150,7 +146,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
         seeds: Any = [None] * n if seed is None else seed
         if isinstance(seed, int | np.integer):
-            seeds = [seed + i for i in range(n)]
+            seeds = range(seed, seed + n)
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i] = np.random.default_rng(int(seeds[i]))
@@ -208,7 +204,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         moved = np.linalg.norm(truth.object_position - self._position, axis=1)
         broken |= playing & ~(moved / self.config.control_dt < EJECTED)
         broken |= self._observe(state, truth, (playing & ~broken) | fresh, fresh)
-        self._position[playing] = truth.object_position[playing]
         stepped, is_last = playing & ~broken, self._steps >= self.max_episode_steps
         after_step = partial(self.task.after_step, truth, is_last)
         achieved, ended = _in_some(playing, [self.task], after_step)
@@ -256,7 +251,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             achieved, desired = _in_some(first, [self.task], reset)
             self._achieved[first] = achieved[first]
             self._desired[first] = np.broadcast_to(desired, achieved.shape)[first]
-            self._position[first] = truth.object_position[first]
             self._give(np.where(first, 0, -1))
         for worlds, observer in self._observers:
             parts, seen = observer.parts, state.map(itemgetter(worlds))
@@ -265,6 +259,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 _in_some(first[worlds], parts, reset)
             told: Any = _in_some(which[worlds], parts, partial(observer.observe, seen))
             obs[worlds, : told.shape[1]] = told.float()
+        self._position = truth.object_position.copy()
         is_sound = host(obs.abs().amax(1)) < LIMIT
         self._obs = _where(which & is_sound, obs, self._obs)
         return which & ~is_sound

@@ -7,13 +7,9 @@ faults, seed and numbers of their learners. Each has its own folder, as if it ha
 from __future__ import annotations
 
 import math
-import signal
-import sys
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +22,7 @@ from .. import algos
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
 from ..envs import tasks, vector
-from ..envs.batch import BY_GROUP, BatchEnv, require_batched
+from ..envs.batch import BatchEnv, shared
 from ..envs.grasp import GraspConfig
 from ..envs.simulators import batch as simulators
 from ..errors import input_errors
@@ -34,16 +30,13 @@ from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
 from ..terminal.console import about, console
-from .executors import SIDE_BY_SIDE
 from .grid import Run
 from .jobs import Job
 from .records import StudyFiles
 
 DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
-PROCESSES = 3  # that train batches, at most
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
-SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
 
 
@@ -100,73 +93,29 @@ def _common(config: RunConfig) -> Any:
         raise ValueError(f"env: found {config.run.env}, allowed a hand")
     if algos.get(config.run.algo)[1] not in learners.BATCHED:
         raise ValueError(f"algo: found {config.run.algo}, which has no batched form")
-    require_batched([config.scene])
-    scene = {k: v for k, v in vars(config.scene).items() if k not in BY_GROUP}
     run = config.run.env, config.run.n_test_episodes
-    return run, learners.alike(config.learner), (*scene.items(),)
+    return run, learners.alike(config.learner), shared(config.scene)
 
 
-def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list[Job]:
-    """Return jobs that train runs as batches; print what is trained together.
-
-    Threads of a process take turns in Python, and processes on the GPU: so there are some of each.
-    """
+def as_jobs(folder: Path, runs: Sequence[Run]) -> list[Job]:
+    """Return jobs that train runs as batches; print what is trained together."""
     batches, _ = form(runs)
     for one in batches:
         n_runs = len(one.runs)
         console.print(
             f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds"
         )
-    n = side_by_side or SIDE_BY_SIDE
-    n_jobs = min(n, len(batches), PROCESSES)
-    return [
-        Job(
-            folder,
-            tuple(run for one in batches[k::n_jobs] for run in one.runs),
-            n_batches=-(-n // n_jobs),
-        )
-        for k in range(n_jobs)
-    ]
+    return [Job(folder, one.runs, is_batch=True) for one in batches]
 
 
 # -- a batch's process -----------------------------------------------------------------------
 
 
-def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
-    """Train runs of a study as batches, or go on from their last checkpoints; return the exit code.
-
-    So many batches are trained at a time, each in a thread and on a stream of its own. SIGTERM ends
-    them at their next steps, with their last checkpoints.
-    """
+def train(files: StudyFiles, runs: Sequence[Run]) -> int:
+    """Train runs of a study as a batch, or go on from their last checkpoints; return the exit code."""
     require_device()
-    batches, futures = form(runs)[0], []
-    free, stop = threading.Semaphore(side_by_side), threading.Event()
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, lambda *_: stop.set())
-        sys.setswitchinterval(SWITCH_EVERY)
-    with ExitStack() as held, ThreadPoolExecutor(side_by_side) as pool:
-        try:
-            for batch in batches:  # others train while the next is built
-                free.acquire()
-                if stop.is_set():
-                    raise KeyboardInterrupt
-                one = _Training(batch, files, held, stop)
-                futures.append(pool.submit(one.train_in_thread, free))
-            return max(future.result() for future in as_completed(futures))
-        except BaseException:
-            stop.set()
-            raise
-
-
-class _Worlds(BatchEnv):
-    """Worlds whose next step is the last once they are told to `stop`."""
-
-    stop: threading.Event
-
-    def step(self, actions: Any) -> Any:
-        if self.stop.is_set():
-            raise KeyboardInterrupt
-        return super().step(actions)
+    with ExitStack() as held:
+        return _Training(form(runs)[0][0], files, held).train()
 
 
 @dataclass
@@ -185,18 +134,15 @@ class _Member:
 class _Training:
     """The runs of a batch, their files, and the batch that learns."""
 
-    def __init__(
-        self, batch: Batch, files: StudyFiles, held: ExitStack, stop: threading.Event
-    ) -> None:
-        self.name, self.files, self.stop = batch.name, files, stop
-        self.members, singles = list[_Member](), list[Any]()
+    def __init__(self, batch: Batch, files: StudyFiles, held: ExitStack) -> None:
+        self.name, self.files, self.members = batch.name, files, list[_Member]()
         alone, configs = Communicator(), list[RunConfig]()
         for run in batch.runs:
             run_dir = files.run_dir(run)
             config = run_dir.settled(run.config().choose({"out": str(run_dir.path)}))
             held.enter_context(training.writing(run_dir, config, alone))
             configs.append(config)
-        about = {"runs": len(configs), "device": DEVICE}
+        about: Any = {"runs": len(configs), "device": DEVICE}
         if DEVICE != "loop":
             about["device"] = torch.cuda.get_device_name()
             console.print(
@@ -206,54 +152,36 @@ class _Training:
         algorithm = algos.get(configs[0].run.algo)[1]
         with input_errors():
             groups: Any = [(config.place[1], batch.worlds) for config in configs]
-            hand, _ = configs[0].place
-            env = _Worlds(hand, groups, DEVICE, autoreset=False)
-            env.stop = stop
-            for single, config in zip(env.singles, configs, strict=True):
+            env = BatchEnv(configs[0].place[0], groups, DEVICE, autoreset=False)
+            about["worlds"] = env.num_envs
+            for run, config, single in zip(
+                batch.runs, configs, env.singles, strict=True
+            ):
                 options = config.run.seed, config.run.total_timesteps, env.device
-                workers = vector.Workers(single)
-                singles.append(algorithm(config.learner, workers, alone, *options))
-        about["worlds"] = env.num_envs
-        for run, config, one in zip(batch.runs, configs, singles, strict=True):
-            checkpoint = Checkpoint(files.run_dir(run), one, alone)
-            epoch = training.begin(checkpoint, config, about)
-            self.members.append(_Member(run, checkpoint, epoch))
+                one = algorithm(config.learner, vector.Workers(single), alone, *options)
+                checkpoint = Checkpoint(files.run_dir(run), one, alone)
+                epoch = training.begin(checkpoint, config, about)
+                self.members.append(_Member(run, checkpoint, epoch))
+        singles = [one.checkpoint.learner for one in self.members]
         self.learner = learners.BATCHED[algorithm](singles, env)
         self.n_test_episodes = configs[0].run.n_test_episodes
         self.begin = self.saved = self.shown = time.monotonic()
         self.steps_before = self.steps
-        if DEVICE != "loop":
-            torch.cuda.synchronize()  # what was built is ready for other streams
 
     @property
     def steps(self) -> int:
         """The steps of all runs so far."""
         return sum(one.env_steps for one in self.learner.learners)
 
-    def train_in_thread(self, free: threading.Semaphore) -> int:
-        """Train on a stream of its own; return the exit code.
-
-        Release `free` then, and stop all others on errors.
-        """
-        stream = torch.cuda.Stream() if DEVICE != "loop" else None  # type: ignore[no-untyped-call]
-        try:
-            with torch.cuda.stream(stream):
-                self.train()
-            return int(bool(self.learner.failures))
-        except BaseException:
-            self.stop.set()
-            raise
-        finally:
-            free.release()
-
-    def train(self) -> None:
-        """Train until all runs have their steps, or have failed."""
+    def train(self) -> int:
+        """Train until all runs have their steps, or have failed; return the exit code."""
         while self.learner.active:
             self.epoch()
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
         self.save()
         self.show()
+        return int(bool(self.learner.failures))
 
     def epoch(self) -> None:
         """Play one epoch of each active run and learn from it, as `training` does with one."""
