@@ -374,14 +374,14 @@ class Draws:
         return partial(self._draw, name)
 
     def _draw(self, name: str, *bounds: Any, size: Any = (), **options: Any) -> Any:
-        n_rows = 1 if bounds or options else self.n_ahead
-        asked = name, len(self.left), n_rows, *np.empty(size).shape
-        shape = asked[1:]
-        if asked != self._asked:
-            assert not self.left.any(), (
-                "numbers drawn ahead need a generator of their own"
-            )
-            self._asked, self._rows = asked, np.zeros(shape)
+        asked = name, *np.empty(size).shape
+        is_again = asked == self._asked and not (bounds or options)
+        n_rows = self.n_ahead if is_again else 1
+        shape = len(self.left), n_rows, *asked[1:]
+        if shape != self._rows.shape:
+            assert not self.left.any(), "numbers drawn ahead need their own generator"
+            self._rows = np.zeros(shape)
+        self._asked = asked
         for i in np.flatnonzero(self.which & (self.left == 0)):
             draw = getattr(self.rngs[i], name)
             self._rows[i] = draw(*bounds, size=shape[1:], **options)
