@@ -338,7 +338,7 @@ class BatchLearner:
         seeds: list[int | None] = [None] * n
         for world, rng in rngs.items():
             seeds[world] = int(rng.integers(2**31))
-        explore = self.explore(rngs) if explores else np.asarray
+        explore: Noise = self.explore(rngs) if explores else np.asarray
         every, n_rows = np.arange(n), env.max_episode_steps + 1
         live = np.isin(every, [*rngs])
         obs, info = env.reset(seed=seeds, options={"reset_mask": live})
@@ -508,7 +508,8 @@ class BatchPPO(BatchLearner):
     def _take_step(self, parts: Sequence[Networks], on: Tensor) -> None:
         """Take an Adam step in the runs where `on` is 1; gradients of all parts are clipped as one."""
         gradients: Any = [networks.flat.grad for networks in parts]
-        norm = sum(g.square().sum(dim=1, keepdim=True) for g in gradients).sqrt()
+        squares = [g.square().sum(dim=1, keepdim=True) for g in gradients]
+        norm = torch.stack(squares).sum(dim=0).sqrt()
         share = (self.config.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
         for networks, gradient in zip(parts, gradients, strict=True):
             gradient *= share

@@ -91,13 +91,14 @@ class BatchSimulator:
             parts.pop("links")[0],
             zip(*parts.pop("contacts"), strict=True),
         )
-        half_size = self.tensor([shape.half_size for shape in parts.pop("shape")])
+        half_size: Any = self.tensor([one.half_size for one in parts.pop("shape")])
         padded = [pad_sequence([*map(self.tensor, part)], True) for part in contacts]
+        stacked: Any = {name: self.tensor(part) for name, part in parts.items()}
         return State(
-            shape=Shape(self.kind, tuple(half_size.T)),  # type: ignore[arg-type]
+            shape=Shape(self.kind, tuple(half_size.T)),
             links=links,
             contacts=Contacts(*padded),  # type: ignore[arg-type]
-            **{name: self.tensor(part) for name, part in parts.items()},
+            **stacked,
         )
 
     def tensor(self, values: Any) -> Tensor:
