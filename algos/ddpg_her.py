@@ -218,14 +218,6 @@ class Exploration:
         noisy = np.clip(actions + np.float32(self.noise_eps) * noise, -1.0, 1.0)
         chance = rng.random(actions.shape[:-1])[..., None]
         drawn = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
-        is_random, random = self.advance(chance, drawn)
-        return np.where(is_random, random, noisy)
-
-    def advance(self, chance: Array, drawn: Array) -> tuple[Array, Array]:
-        """Return where actions of the next step are random (n, 1), and these actions (n, d).
-
-        `chance` (n, 1) and `drawn` (n, d) are uniform in [0, 1) and [-1, 1).
-        """
         hold = self.random_hold
         if self._is_random is None:  # as in any other step
             is_new, is_held = chance < self.random_eps, np.zeros(chance.shape, bool)
@@ -236,7 +228,7 @@ class Exploration:
             is_held = self._is_random & (chance >= 1.0 / hold)
         self._random = np.where(is_new, drawn, self._random)
         self._is_random = is_new | is_held
-        return self._is_random, self._random
+        return np.where(self._is_random, self._random, noisy)
 
 
 @dataclass(frozen=True)
@@ -396,16 +388,7 @@ class DDPGHER(Learner):
         factor = self.rescale(drawn.reward)
         for critic in (self.critic, self.target_critic):
             critic.scale_outputs(factor)
-        batch = self._as_inputs(drawn)
-        minibatches = zip(
-            *(torch.split(part, config.batch_size) for part in batch), strict=True
-        )
-        sums = torch.zeros(3, device=self.device)
-        with flushed_denormals():
-            for i, minibatch in enumerate(minibatches, start=1):
-                sums += self._update_networks(Batch(*minibatch))
-                if i % (config.target_update_interval or n) == 0 or i == n:
-                    self._move_targets()
+        sums = self.learn(self._as_inputs(drawn))
         self.updates += n
         over_ranks = self.comm.sum((sums / n).cpu().double().numpy())
         critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
@@ -416,6 +399,21 @@ class DDPGHER(Learner):
             "mean_q": mean_q * self.reward_scale.unit,
             "updates": n,
         }
+
+    def learn(self, batch: Batch) -> Tensor:
+        """Take an Adam step on each minibatch of transitions (..., n), and move the target networks.
+
+        Returns the sums of what `_update_networks` does.
+        """
+        config, n, rows = self.config, self.config.n_batches, batch.reward.ndim - 1
+        parts = (part.split(config.batch_size, dim=rows) for part in batch)
+        sums: Any = 0.0
+        with flushed_denormals():
+            for i, minibatch in enumerate(zip(*parts, strict=True), start=1):
+                sums += self._update_networks(Batch(*minibatch))
+                if i % (config.target_update_interval or n) == 0 or i == n:
+                    self._move_targets()
+        return sums  # type: ignore[no-any-return]
 
     def _as_inputs(self, drawn: Batch) -> Batch:
         """Return tensors in which observations are the networks' inputs (n, obs + goal)."""
@@ -430,7 +428,7 @@ class DDPGHER(Learner):
     def _update_networks(self, batch: Batch) -> Tensor:
         """Take one Adam step of critic and actor, both from the same parameters.
 
-        Returns the critic's loss, the actor's loss and the mean Q of the actor's actions, (3,).
+        Returns the critic's loss, the actor's loss and the mean Q of the actor's actions, (3, ...).
         """
         critic_loss, actor_losses = self.in_two_threads(
             partial(self._critic_gradient, batch),
@@ -446,23 +444,23 @@ class DDPGHER(Learner):
         return torch.cat([critic_loss[None], actor_losses])
 
     def _critic_gradient(self, batch: Batch) -> Tensor:
-        """Compute the gradient of the critic's squared error; return the loss, ()."""
+        """Compute the gradient of the critic's squared error; return the loss, (...)."""
         targets = self._targets(batch)
         errors = q_values(self.critic, batch.obs, batch.action) - targets
-        loss = errors.square().mean()
+        loss = errors.square().mean(dim=-1)
         self.critic_adam.zero_grad()
-        loss.backward(inputs=self.critic_parameters)  # type: ignore[no-untyped-call]
+        loss.sum().backward(inputs=self.critic_parameters)  # type: ignore[no-untyped-call]
         return loss.detach()
 
     def _actor_gradient(self, inputs: Tensor) -> Tensor:
         """Compute the gradient of what the critic says of the actor's actions.
 
-        Returns the actor's loss and the mean Q, (2,).
+        Returns the actor's loss and the mean Q, (2, ...).
         """
         loss, mean_q = actor_loss(self.actor, self.critic, inputs, self.action_l2)
         self.actor_adam.zero_grad()
         # And not the critic's.
-        loss.backward(inputs=self.actor_parameters)  # type: ignore[no-untyped-call]
+        loss.sum().backward(inputs=self.actor_parameters)  # type: ignore[no-untyped-call]
         return torch.stack([loss, mean_q]).detach()
 
     @torch.no_grad()

@@ -139,10 +139,9 @@ class Replay:
         self.n_episodes = max(self.n_episodes, slot + 1)
         self._unsaved.append(slot)
 
-    def episode(self, slot: int) -> tuple[Array, Array]:
-        """Return observations (length + 1, obs) and actions (length + 1, action) in a slot."""
-        n = self._lengths[slot] + 1
-        return self._columns["obs"][slot, :n], self._columns["action"][slot, :n]
+    def episodes(self, slots: Array) -> tuple[Array, Array]:
+        """Return observations and actions (k, max_steps + 1, ...) in slots (k,), whole."""
+        return self._columns["obs"][slots], self._columns["action"][slots]
 
     # -- sampling ----------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import is_dataclass, replace
 from functools import partial
 from operator import itemgetter
 from typing import Any, TypeVar
@@ -24,10 +24,11 @@ from torch import Tensor
 from . import tasks, touch
 from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv, checked
 from .hold import Trial
-from .objects import host
+from .objects import KINDS, host
 from .observations import OF_HAND, TAXELS
 from .simulators import batch as simulators
 from .state import Array, State
+from .validation import require_one_of
 
 T = TypeVar("T")
 Obs = dict[str, Any]
@@ -35,15 +36,8 @@ BY_GROUP = frozenset(("layout", "touch", "hand_seed", "sensor", *TAXELS))
 """Fields in which the groups of a batch may differ."""
 
 
-def require_batched(configs: Sequence[GraspConfig]) -> None:
-    """Raise ValueError naming what keeps these scenes from being one batch."""
-    first = configs[0]
-    for field in fields(GraspConfig):
-        values = {getattr(config, field.name) for config in configs}
-        if field.name not in BY_GROUP and len(values) > 1:
-            raise ValueError(
-                f"{field.name}: found {values} in a batch, allowed one value"
-            )
+def shared(config: GraspConfig) -> tuple[Any, ...]:
+    """Return what the scenes of a batch have in common; ValueError for one that can be in none."""
     # In the class itself: one of somebody else's may override what its base does.
     rules, kinds = (
         [name for name, kind in known.items() if vars(kind).get("is_batched")]
@@ -53,13 +47,10 @@ def require_batched(configs: Sequence[GraspConfig]) -> None:
         ("simulator", ["mujoco"]),
         ("touch_rule", rules),
         ("task", kinds),
+        ("object", KINDS),
     ):
-        if (value := getattr(first, name)) not in allowed:
-            raise ValueError(
-                f"{name}: found {value!r} in a batch, allowed: {', '.join(allowed)}"
-            )
-    if "," in first.object:
-        raise ValueError(f"object: found {first.object!r} in a batch, allowed one kind")
+        require_one_of(allowed, getattr(config, name), f"{name} of a batch")
+    return tuple(v for k, v in vars(config).items() if k not in BY_GROUP)
 
 
 class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
@@ -95,12 +86,16 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         Raise ValueError for scenes that do not go together.
         """
         configs = [config for config, _ in groups]
-        require_batched(configs)
+        if len({shared(config) for config in configs}) > 1:
+            allowed = ", ".join(sorted(BY_GROUP))
+            raise ValueError(f"groups: found scenes that differ, allowed in: {allowed}")
         sizes = [size for _, size in groups]
         self.num_envs = n = sum(sizes)
         kinds = [_without_idle_seed(config) for config in configs]
         envs = {kind: GraspEnv(hand, kind) for kind in dict.fromkeys(kinds)}
-        self._single = single = envs[kinds[0]]
+        self.singles = [envs[kind] for kind in kinds]
+        """The environment of each group, which plays a world of it alone."""
+        single = self.singles[0]
         self.config, self.hand, self.task = single.config, single.hand, single.task
         self.max_episode_steps = single.max_episode_steps
         self.simulator = simulators.make(single.simulator.scene, n, device)
@@ -118,13 +113,11 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": mode}
         self.single_action_space = single.action_space
         self.action_space = batch_space(single.action_space, n)
-        spaces: Any = [envs[kind].observation_space for kind in kinds]
-        self.group_observation_spaces = tuple(spaces)
-        """What the worlds of each group observe."""
+        spaces: Any = [one.observation_space for one in self.singles]
         widths = [space["observation"].shape[0] for space in spaces]
         self.single_observation_space = widest = spaces[np.argmax(widths)]
         self.observation_space = batch_space(widest, n)
-        self._rngs = np.full(n, None)
+        self._rngs = np.array([np.random.default_rng() for _ in range(n)])
         self._targets = np.tile(single.hand.start_targets(), (n, 1))
         self._steps, self._position = np.zeros(n, int), np.zeros((n, 3))
         self._holding, self._over = np.zeros(n, bool), np.ones(n, bool)
@@ -153,10 +146,10 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
         seeds: Any = [None] * n if seed is None else seed
         if isinstance(seed, int | np.integer):
-            seeds = [seed + i for i in range(n)]
+            seeds = range(seed, seed + n)
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
-                self._rngs[i], _ = gym.utils.seeding.np_random(int(seeds[i]))
+                self._rngs[i] = np.random.default_rng(int(seeds[i]))
         self._begin(mask)
         self._observe(*self._look(), mask, mask)
         return self._results(), self._info(np.zeros(n, bool), np.zeros(n, bool))
@@ -166,9 +159,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         worlds, n = np.flatnonzero(mask), self.num_envs
         if not len(worlds):
             return
-        for i in worlds:
-            self._rngs[i] = self._rngs[i] or np.random.default_rng()
-        drawn = self._single.draw_start(Draws(self._rngs, mask))
+        drawn = self.singles[0].draw_start(Draws(self._rngs, mask))
         item, start, self._observer_draws, self._task_draws = drawn
         half_size = np.stack(item.shape.half_size, axis=-1)
         what = half_size, item.mass, item.friction
@@ -213,7 +204,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         moved = np.linalg.norm(truth.object_position - self._position, axis=1)
         broken |= playing & ~(moved / self.config.control_dt < EJECTED)
         broken |= self._observe(state, truth, (playing & ~broken) | fresh, fresh)
-        self._position[playing] = truth.object_position[playing]
         stepped, is_last = playing & ~broken, self._steps >= self.max_episode_steps
         after_step = partial(self.task.after_step, truth, is_last)
         achieved, ended = _in_some(playing, [self.task], after_step)
@@ -261,7 +251,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             achieved, desired = _in_some(first, [self.task], reset)
             self._achieved[first] = achieved[first]
             self._desired[first] = np.broadcast_to(desired, achieved.shape)[first]
-            self._position[first] = truth.object_position[first]
             self._give(np.where(first, 0, -1))
         for worlds, observer in self._observers:
             parts, seen = observer.parts, state.map(itemgetter(worlds))
@@ -270,6 +259,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 _in_some(first[worlds], parts, reset)
             told: Any = _in_some(which[worlds], parts, partial(observer.observe, seen))
             obs[worlds, : told.shape[1]] = told.float()
+        self._position = truth.object_position.copy()
         is_sound = host(obs.abs().amax(1)) < LIMIT
         self._obs = _where(which & is_sound, obs, self._obs)
         return which & ~is_sound
@@ -289,10 +279,6 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _info(self, success: Array, diverged: Array) -> dict[str, Any]:
         holding = self._holding.copy()
         return {"is_success": success, "diverged": diverged, "holding": holding}
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Release what the simulator holds."""
-        self.simulator.close()
 
 
 def _without_idle_seed(config: GraspConfig) -> GraspConfig:
@@ -393,9 +379,7 @@ class Draws:
         n_rows = self.n_ahead if is_again else 1
         shape = len(self.left), n_rows, *asked[1:]
         if shape != self._rows.shape:
-            if self.left.any():
-                only = "allowed only from a generator of its own"
-                raise ValueError(f"{name}: found after {self._asked[0]}, {only}")
+            assert not self.left.any(), "numbers drawn ahead need their own generator"
             self._rows = np.zeros(shape)
         self._asked = asked
         for i in np.flatnonzero(self.which & (self.left == 0)):

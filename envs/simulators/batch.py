@@ -8,18 +8,19 @@ its worlds one after the other; `warp.WarpSimulator` does the same on a GPU.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Iterable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from ..objects import Shape
 from ..state import Array, Contacts, State
 from . import Scene, SimulationError
 from .mujoco import MujocoSimulator
-
-MAX_CONTACTS = 32  # of hand and object in a world
 
 
 class BatchSimulator:
@@ -35,6 +36,16 @@ class BatchSimulator:
         self.worlds = [MujocoSimulator(scene) for _ in range(n)]
         self.diverged = np.zeros(n, bool)
 
+    def _each(
+        self, which: Array, act: Callable[..., Any], *by_world: Iterable[Any]
+    ) -> None:
+        """Let some worlds act, with what is each one's own."""
+        for i, *own in zip(which, *by_world, strict=True):
+            try:
+                act(self.worlds[i], *own)
+            except SimulationError:
+                self.diverged[i] = True
+
     def change_object(
         self, which: Array, half_size: Array, mass: Array, friction: Array
     ) -> None:
@@ -42,65 +53,51 @@ class BatchSimulator:
 
         A reset must follow.
         """
-        figures = (values.tolist() for values in (half_size, mass, friction))
-        for i, half, *rest in zip(which, *figures, strict=True):
-            self.worlds[i].change_object(Shape(self.kind, tuple(half)), *rest)
+        shapes = [Shape(self.kind, tuple(half)) for half in half_size.tolist()]
+        figures = shapes, mass.tolist(), friction.tolist()
+        self._each(which, MujocoSimulator.change_object, *figures)
 
     def reset(
         self, which: Array, joints: Array, position: Array, yaw: Array, targets: Array
     ) -> None:
         """Put worlds at rest at joint positions and object poses, (k, ...) each; nobody carries."""
-        for i, *start in zip(which, joints, position, yaw, targets, strict=True):
-            self._guard(i, self.worlds[i].reset, *start)
-
-    def _guard(self, i: int, act: Any, *arguments: Any) -> None:
-        self.diverged[i] = False
-        try:
-            act(*arguments)
-        except SimulationError:
-            self.diverged[i] = True
+        self.diverged[which] = False
+        self._each(which, MujocoSimulator.reset, joints, position, yaw, targets)
 
     def step(self, targets: Array, n_substeps: Array) -> None:
         """Advance each world by a number (n,) of timesteps towards joint targets (n, n_actuators)."""
-        for i, *where in zip(range(self.n), targets, n_substeps.tolist(), strict=True):
-            if not self.diverged[i]:
-                self._guard(i, self.worlds[i].step, *where)
+        which = np.flatnonzero(~self.diverged)
+        own = targets[which], n_substeps[which].tolist()
+        self._each(which, MujocoSimulator.step, *own)
 
     def carry(self, which: Array, goal: Array) -> None:
         """Make givers carry objects towards goals (k, 3), m, from where they are."""
-        for i, place in zip(which, goal, strict=True):
-            self.worlds[i].carry(place)
+        self._each(which, MujocoSimulator.carry, goal)
 
     def let_go(self, which: Array) -> None:
         """Carry these objects no longer."""
-        for i in which:
-            self.worlds[i].let_go()
+        self._each(which, MujocoSimulator.let_go)
 
     def set_creep(self, factor: Array) -> None:
         """Make what sticks creep `factor` (n,) times as fast as in the scene as it is built."""
-        for world, value in zip(self.worlds, factor.tolist(), strict=True):
-            world.set_creep(value)
+        every = np.arange(self.n)
+        self._each(every, MujocoSimulator.set_creep, factor.tolist())
 
     def state(self) -> State:
         """Return what is true now, in tensors (n, ...); valid until the next step or reset."""
-        states = [world.state() for world in self.worlds]
-        contacts = [
-            np.zeros((self.n, MAX_CONTACTS, *part.shape[1:]), part.dtype)
-            for part in states[0].contacts
-        ]
-        for i, state in enumerate(states):
-            for whole, part in zip(contacts, state.contacts, strict=True):
-                whole[i, : len(part)] = part[:MAX_CONTACTS]
-        stacked: Any = {
-            name: self.tensor([getattr(state, name) for state in states])
-            for name in vars(states[0])
-            if name not in ("shape", "links", "contacts")
-        }
-        half_size: Any = self.tensor([state.shape.half_size for state in states])
+        states = [vars(world.state()) for world in self.worlds]
+        parts: dict[str, Any] = {k: [state[k] for state in states] for k in states[0]}
+        links, contacts = (
+            parts.pop("links")[0],
+            zip(*parts.pop("contacts"), strict=True),
+        )
+        half_size: Any = self.tensor([one.half_size for one in parts.pop("shape")])
+        padded = [pad_sequence([*map(self.tensor, part)], True) for part in contacts]
+        stacked: Any = {name: self.tensor(part) for name, part in parts.items()}
         return State(
             shape=Shape(self.kind, tuple(half_size.T)),
-            links=states[0].links,
-            contacts=Contacts(*map(self.tensor, contacts)),  # type: ignore[arg-type]
+            links=links,
+            contacts=Contacts(*padded),  # type: ignore[arg-type]
             **stacked,
         )
 
@@ -110,23 +107,24 @@ class BatchSimulator:
         dtype = self.dtype if values.dtype.kind == "f" else None
         return torch.as_tensor(values, dtype=dtype, device=self.device)
 
-    def close(self) -> None:
-        """Release what is held outside Python."""
+
+def require(device: str) -> None:
+    """Raise ValueError where there is no such device, ImportError without MuJoCo Warp."""
+    if device != "loop" and find_spec("mujoco_warp") is None:  # which needs warp itself
+        raise ImportError(
+            "found no MuJoCo Warp, which a GPU needs: pip install 'tactilerl[gpu]'"
+        )
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ValueError(
+            f"device: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
+            "GPU, its driver, and PyTorch for CUDA (https://pytorch.org/get-started)"
+        )
 
 
 def make(scene: Scene, n: int, device: str) -> BatchSimulator:
-    """Return n running scenes: MuJoCo's in a loop ("loop"), or MuJoCo Warp's on a PyTorch device.
-
-    Raise ValueError where there is no such device, ImportError where MuJoCo Warp is not installed.
-    """
+    """Return n running scenes: MuJoCo's in a loop ("loop"), or MuJoCo Warp's on a PyTorch device."""
+    require(device)
     if device == "loop":
         return BatchSimulator(scene, n)
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise ValueError("device: found no GPU, allowed without one: 'loop' (slow)")
-    try:
-        warp: Any = importlib.import_module(f"{__package__}.warp")
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            "found no MuJoCo Warp; install the extra: pip install 'tactilerl[gpu]'"
-        ) from error
+    warp: Any = importlib.import_module(f"{__package__}.warp")
     return warp.WarpSimulator(scene, n, device)  # type: ignore[no-any-return]

@@ -19,9 +19,10 @@ from torch import Tensor
 from ..objects import Shape
 from ..state import Array, Contacts, State, places
 from . import Scene
-from .batch import MAX_CONTACTS, BatchSimulator
+from .batch import BatchSimulator
 from .mujoco import GIVERS_GROUP, MujocoSimulator
 
+MAX_CONTACTS = 32  # of hand and object in a world
 # Room of a world: its contacts, and rows of constraints.
 N_CONTACTS, N_ROWS = 48, 160
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
@@ -55,20 +56,23 @@ class WarpSimulator(BatchSimulator):
         host.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         host.opt.disableactuator &= ~(1 << GIVERS_GROUP)
         with warp.ScopedDevice(self._device):
-            self._model = mujoco_warp.put_model(host)
+            self._model = mujoco_warp.put_model(host, dict.fromkeys(BY_WORLD, n))
             self._data = mujoco_warp.put_data(
                 host, plain.data, nworld=n, nconmax=N_CONTACTS, njmax=N_ROWS
             )
-            self._model.opt.warn_overflow = 0
-            self._own = {name: self._by_world(self._model, name) for name in BY_WORLD}
-            self._creep = self._by_world(self._model.opt, "impratio_invsqrt")
-            arrays = {name: getattr(self._data, name) for name in SHARED}
+            self._own = {
+                name: warp.to_torch(getattr(self._model, name)) for name in BY_WORLD
+            }
+            options = self._model.opt
+            options.warn_overflow = 0
+            creep = np.repeat(options.impratio_invsqrt.numpy(), n)
+            options.impratio_invsqrt = warp.array(creep, dtype=float)
+            self._creep = warp.to_torch(options.impratio_invsqrt)
             # Memory that Warp and PyTorch share, (n, ...).
-            self._now = SimpleNamespace(
-                **{name: warp.to_torch(array) for name, array in arrays.items()}
-            )
+            self._now = SimpleNamespace()
+            for name in SHARED:
+                setattr(self._now, name, warp.to_torch(getattr(self._data, name)))
             self._graphs: dict[str, Any] = {}
-            self._streams: dict[int, Any] = {}
             self._run("step", mujoco_warp.step)
             self._run("kinematics", mujoco_warp.kinematics)
         self._springs = self._indices(giver)
@@ -87,21 +91,13 @@ class WarpSimulator(BatchSimulator):
         self._contacts = self._contacts_now()
         self.diverged = np.zeros(n, bool)
 
-    def _by_world(self, owner: Any, name: str) -> Tensor:
-        """Give an array a row for each world."""
-        shared = getattr(owner, name)
-        values = np.repeat(shared.numpy()[:1], self.n, axis=0)
-        own: Any = warp.array(values, dtype=shared.dtype, device=self._device)
-        setattr(owner, name, own)
-        return warp.to_torch(own)
-
     def _indices(self, values: Any) -> Tensor:
         return torch.as_tensor(np.array(values), dtype=torch.long, device=self.device)
 
     def _run(self, name: str, function: Any) -> None:
         """Run a function of model and data: on a GPU captured as a graph, once it has been compiled."""
         if name in self._graphs:
-            warp.capture_launch(self._graphs[name], self._stream())
+            warp.capture_launch(self._graphs[name])
             return
         function(self._model, self._data)
         if self._device.is_cuda:
@@ -109,41 +105,32 @@ class WarpSimulator(BatchSimulator):
                 function(self._model, self._data)
             self._graphs[name] = capture.graph
 
-    def _stream(self) -> Any:
-        """Return the stream that PyTorch uses in this thread; None for the usual one."""
-        current = torch.cuda.current_stream(self.device)
-        if current.cuda_stream == 0:
-            return None
-        if current.cuda_stream not in self._streams:
-            own = warp.stream_from_torch(current)  # type: ignore[no-untyped-call]
-            self._streams[current.cuda_stream] = own
-        return self._streams[current.cuda_stream]
-
     def change_object(
         self, which: Array, half_size: Array, mass: Array, friction: Array
     ) -> None:
         """Write what `MujocoSimulator.change_object` compiles, by the formulas of the solids."""
-        plain, rows = self.plain, self._indices(which)
+        plain, rows, own = self.plain, self._indices(which), self._own
         body, geom = plain._object_body, plain._object_geom
         shape = Shape(self.kind, tuple(half_size.T))
-        bound = np.linalg.norm(half_size, axis=1)  # or less
-        around = half_size[:, ::-1].copy() if self.kind == "capsule" else half_size
         inertia, ease = mass[:, None] * shape.inertia, 1 / mass
         weights = np.stack([ease, (1 / inertia).mean(1)], 1)
         for name, index, value in (
-            ("geom_size", geom, np.stack(shape.measures, 1)), ("geom_rbound", geom, bound),
-            ("geom_aabb", (geom, 1), around), ("geom_friction", (geom, 0), friction),
-            ("body_mass", body, mass), ("body_subtreemass", body, mass),
-            ("body_inertia", body, inertia), ("body_invweight0", body, weights),
-            ("dof_invweight0", slice(-6, None), np.repeat(weights, 3, axis=1)),
-        ):  # fmt: skip
-            at = index if isinstance(index, tuple) else (index,)
-            self._own[name][(rows, *at)] = self.tensor(value)
+            ("geom_size", (rows, geom), np.stack(shape.measures, 1)),
+            ("geom_friction", (rows, geom, 0), friction),
+            ("body_mass", (rows, body), mass),
+            ("body_inertia", (rows, body), inertia),
+            ("body_invweight0", (rows, body), weights),
+            ("dof_invweight0", (rows, slice(-6, None)), np.repeat(weights, 3, axis=1)),
+        ):
+            own[name][index] = self.tensor(value)
+        with warp.ScopedDevice(self._device):  # bounds follow from sizes
+            bounds = mujoco_warp.SetConstGroup.FIXED
+            mujoco_warp.set_const(self._model, self._data, bounds)
         if skin := self.scene.skin:
             solref = skin.solref(plain._ease + ease[:, None], self.scene.timestep)
             skins = rows[:, None], self._indices(plain._skin)
-            self._own["geom_solref"][skins] = self.tensor(solref)
-            self._own["geom_friction"][(*skins, 0)] = self.tensor(friction)[:, None]
+            own["geom_solref"][skins] = self.tensor(solref)
+            own["geom_friction"][(*skins, 0)] = self.tensor(friction)[:, None]
         self._half_size[rows] = self.tensor(half_size)
 
     def reset(
@@ -151,13 +138,14 @@ class WarpSimulator(BatchSimulator):
     ) -> None:
         """Reset worlds as `MujocoSimulator` does."""
         now, rows, data = self._now, self._indices(which), self.plain.data
-        starts: Any = {"qpos": [], "act": [], "ctrl": []}
+        starts = []
         for start in zip(joints, position, yaw, strict=True):
             self.plain.set_start(*start)
-            for name, values in starts.items():
-                values.append(getattr(data, name).copy())
-        for name, values in starts.items():
-            getattr(now, name)[rows] = self.tensor(np.reshape(values, (len(which), -1)))
+            starts.append([part.copy() for part in (data.qpos, data.act, data.ctrl)])
+        for part, values in zip(
+            (now.qpos, now.act, now.ctrl), zip(*starts, strict=True), strict=False
+        ):
+            part[rows] = self.tensor(np.stack(values))
         now.qvel[rows] = now.qacc_warmstart[rows] = 0.0
         now.overflow[rows] = 0
         self.let_go(which)
@@ -203,8 +191,8 @@ class WarpSimulator(BatchSimulator):
         now.act[at, self._spring_act] = position
         way = goals - position
         giver: Any = self.scene.giver
-        now.ctrl[at, springs] = (
-            giver.speed * way / way.norm(dim=1, keepdim=True).clamp_min(1e-9)
+        now.ctrl[at, springs] = giver.speed * torch.nn.functional.normalize(
+            way, eps=1e-9
         )
         gravity = float(self.plain.model.opt.gravity[2])
         now.xfrc_applied[rows, body, 2] = -gravity * self._own["body_mass"][rows, body]
@@ -268,8 +256,7 @@ class WarpSimulator(BatchSimulator):
             world[rows], torch.arange(self.n, device=self.device)
         )
         place = torch.arange(len(rows), device=self.device) - first[world[rows]]
-        fits = place < MAX_CONTACTS
-        rows, place = rows[fits], place[fits]
+        place = place.clamp_max(MAX_CONTACTS - 1)  # of more, some
         sign = torch.where(is_second, 1.0, -1.0)[:, None]
         parts = []
         for values in (pos, link, force, sign * frame[:, 0]):

@@ -87,7 +87,7 @@ class Run:
                 tell_time()
 
             if is_gpu:
-                each = batch.as_jobs(folder, todo, self.jobs)
+                each = batch.as_jobs(folder, todo)
             else:
                 each = [jobs.Job(folder, (run,), self.ranks_per_run) for run in todo]
             jobs.run_all(each, pool, show)
@@ -113,14 +113,14 @@ def _print_failures(all_records: Iterable[Record]) -> None:
 
 @dataclass(frozen=True)
 class Train:
-    """Train one run of a study, or several in batches, or continue them, as `study run` does."""
+    """Train one run of a study, or several as a batch, or continue them, as `study run` does."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the study."""
     run: tyro.conf.Positional[tuple[str, ...]]
-    """Name of the run, or names of all runs of batches."""
-    batches: Annotated[int, "[0, inf)"] = 0
-    """Batches that are trained side by side on a GPU (extra: gpu); 0: the runs one by one."""
+    """Name of the run, or names of all runs of a batch."""
+    batch: bool = False
+    """Train the runs as a batch, on a GPU (extra: gpu), instead of one by one."""
 
     def __call__(self) -> int:
         """Run `tactilerl study train FOLDER RUN`."""
@@ -132,8 +132,8 @@ class Train:
         for name in self.run:
             if name not in runs:
                 raise InputError(f"{self.folder}: found no run {name!r} in it")
-        if self.batches:
-            return batch.train(files, [runs[name] for name in self.run], self.batches)
+        if self.batch:
+            return batch.train(files, [runs[name] for name in self.run])
         for name in self.run:
             out = {"out": str(files.run_dir(runs[name]).path)}
             train(runs[name].config().choose(out), mpi.world(), f"study train: {name}")

@@ -7,17 +7,11 @@ faults, seed and numbers of their learners. Each has its own folder, as if it ha
 from __future__ import annotations
 
 import math
-import os
-import signal
-import sys
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -27,45 +21,29 @@ import torch
 from .. import algos
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
-from ..envs import tasks
-from ..envs.batch import BY_GROUP, BatchEnv, require_batched
+from ..envs import tasks, vector
+from ..envs.batch import BatchEnv, shared
 from ..envs.grasp import GraspConfig
-from ..errors import InputError, input_errors
+from ..envs.simulators import batch as simulators
+from ..errors import input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
 from ..terminal.console import about, console
-from .executors import SIDE_BY_SIDE
 from .grid import Run
 from .jobs import Job
 from .records import StudyFiles
 
-DEVICE = "TACTILERL_BATCH_DEVICE"  # of tests: "loop", MuJoCo in a loop on the CPU
-PROCESSES = "TACTILERL_BATCH_PROCESSES"  # that train batches: at most so many, or three
+DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
 MAX_WORLDS = 16_384  # of a batch
 SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
-SWITCH_EVERY = 5e-4  # s, between threads: what they wait for is the GPU
 SPARE = 1.25  # worlds for episodes that end early
-
-
-def device() -> str:
-    """Return the device that batches are trained on here."""
-    return os.environ.get(DEVICE, "cuda")
 
 
 def require_device() -> None:
     """Raise InputError naming what is missing for `--on gpu`."""
-    if device() == "loop":
-        return
-    if find_spec("mujoco_warp") is None:  # which needs warp itself
-        raise InputError(
-            "--on gpu: found no mujoco_warp, which this needs: pip install 'tactilerl[gpu]'"
-        )
-    if not torch.cuda.is_available():
-        raise InputError(
-            f"--on gpu: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
-            "GPU, its driver, and PyTorch for CUDA (https://pytorch.org/get-started)"
-        )
+    with input_errors("--on gpu"):
+        simulators.require(DEVICE)
 
 
 # -- the study's side ------------------------------------------------------------------------
@@ -76,11 +54,8 @@ class Batch(NamedTuple):
 
     name: str
     runs: tuple[Run, ...]
-
-    @property
-    def worlds(self) -> int:
-        """Number of worlds of each run."""
-        return n_worlds(self.runs[0].config())
+    worlds: int
+    """Number of worlds of each run."""
 
 
 def n_worlds(config: RunConfig) -> int:
@@ -103,11 +78,12 @@ def form(runs: Sequence[Run]) -> tuple[list[Batch], list[tuple[Run, str]]]:
     batches = list[Batch]()
     for members in groups.values():
         config = members[0].config()
-        size = max(1, MAX_WORLDS // n_worlds(config))
+        n = n_worlds(config)
+        size = max(1, MAX_WORLDS // n)
         for i in range(0, len(members), size):
             name = f"{Path(config.run.env).stem} {config.run.algo}"
             name += f" {len(batches) + 1}" if name in {b.name for b in batches} else ""
-            batches.append(Batch(name, tuple(members[i : i + size])))
+            batches.append(Batch(name, tuple(members[i : i + size]), n))
     return batches, others
 
 
@@ -117,95 +93,29 @@ def _common(config: RunConfig) -> Any:
         raise ValueError(f"env: found {config.run.env}, allowed a hand")
     if algos.get(config.run.algo)[1] not in learners.BATCHED:
         raise ValueError(f"algo: found {config.run.algo}, which has no batched form")
-    require_batched([config.scene])
-    scene = {k: v for k, v in vars(config.scene).items() if k not in BY_GROUP}
     run = config.run.env, config.run.n_test_episodes
-    return run, learners.alike(config.learner), (*scene.items(),)
+    return run, learners.alike(config.learner), shared(config.scene)
 
 
-def as_jobs(folder: Path, runs: Sequence[Run], side_by_side: int | None) -> list[Job]:
-    """Return jobs that train runs as batches; print what is trained together.
-
-    Threads of a process take turns in Python, and processes on the GPU: so there are some of each.
-    """
+def as_jobs(folder: Path, runs: Sequence[Run]) -> list[Job]:
+    """Return jobs that train runs as batches; print what is trained together."""
     batches, _ = form(runs)
     for one in batches:
         n_runs = len(one.runs)
         console.print(
             f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds"
         )
-    n = side_by_side or SIDE_BY_SIDE
-    n_jobs = min(n, len(batches), int(os.environ.get(PROCESSES, 3)))
-    return [
-        Job(
-            folder,
-            tuple(run for one in batches[k::n_jobs] for run in one.runs),
-            n_batches=-(-n // n_jobs),
-        )
-        for k in range(n_jobs)
-    ]
+    return [Job(folder, one.runs, is_batch=True) for one in batches]
 
 
 # -- a batch's process -----------------------------------------------------------------------
 
 
-def train(files: StudyFiles, runs: Sequence[Run], side_by_side: int) -> int:
-    """Train runs of a study as batches, or go on from their last checkpoints; return the exit code.
-
-    So many batches are trained at a time, each in a thread and on a stream of its own. SIGTERM ends
-    them at their next steps, with their last checkpoints.
-    """
+def train(files: StudyFiles, runs: Sequence[Run]) -> int:
+    """Train runs of a study as a batch, or go on from their last checkpoints; return the exit code."""
     require_device()
-    batches, others = form(runs)
-    for run, reason in others:
-        raise InputError(f"run {run.name}: {reason}")
-    futures = []
-    free, stop = threading.Semaphore(side_by_side), threading.Event()
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, lambda *_: stop.set())
-        sys.setswitchinterval(SWITCH_EVERY)
-    with ExitStack() as held, ThreadPoolExecutor(side_by_side) as pool:
-        try:
-            for batch in batches:  # others train while the next is built
-                free.acquire()
-                if stop.is_set():
-                    raise KeyboardInterrupt
-                one = _Training(batch, files, held, stop)
-                futures.append(pool.submit(one.train_in_thread, free))
-            return max(future.result() for future in as_completed(futures))
-        except BaseException:
-            stop.set()
-            raise
-
-
-class _Worlds(BatchEnv):
-    """Worlds whose next step is the last once they are told to `stop`."""
-
-    stop: threading.Event
-
-    def step(self, actions: Any) -> Any:
-        if self.stop.is_set():
-            raise KeyboardInterrupt
-        return super().step(actions)
-
-
-class _Seat:
-    """Show a learner the spaces that its run has in the batch, in place of workers."""
-
-    def __init__(self, env: BatchEnv, group: int) -> None:
-        self.observation_space = env.group_observation_spaces[group]
-        self.action_space = env.single_action_space
-        self.max_episode_steps = env.max_episode_steps
-        self._reward = env.task.compute_reward
-
-    def __len__(self) -> int:
-        return 1
-
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any) -> Any:
-        return np.asarray(self._reward(achieved_goal, desired_goal))
-
-    def compute_terminated(self, achieved_goal: Any, desired_goal: Any) -> None:
-        """Say nothing: no task of ours does."""
+    with ExitStack() as held:
+        return _Training(form(runs)[0][0], files, held).train()
 
 
 @dataclass
@@ -224,19 +134,16 @@ class _Member:
 class _Training:
     """The runs of a batch, their files, and the batch that learns."""
 
-    def __init__(
-        self, batch: Batch, files: StudyFiles, held: ExitStack, stop: threading.Event
-    ) -> None:
-        self.name, self.files, self.stop = batch.name, files, stop
-        self.members, singles = list[_Member](), list[Any]()
-        where, alone, configs = device(), Communicator(), list[RunConfig]()
+    def __init__(self, batch: Batch, files: StudyFiles, held: ExitStack) -> None:
+        self.name, self.files, self.members = batch.name, files, list[_Member]()
+        alone, configs = Communicator(), list[RunConfig]()
         for run in batch.runs:
             run_dir = files.run_dir(run)
             config = run_dir.settled(run.config().choose({"out": str(run_dir.path)}))
             held.enter_context(training.writing(run_dir, config, alone))
             configs.append(config)
-        about = {"runs": len(configs), "device": where}
-        if where != "loop":
+        about: Any = {"runs": len(configs), "device": DEVICE}
+        if DEVICE != "loop":
             about["device"] = torch.cuda.get_device_name()
             console.print(
                 f"[{self.name}] building; where kernels are not in the cache yet, they are compiled, "
@@ -245,55 +152,36 @@ class _Training:
         algorithm = algos.get(configs[0].run.algo)[1]
         with input_errors():
             groups: Any = [(config.place[1], batch.worlds) for config in configs]
-            hand, _ = configs[0].place
-            env = _Worlds(hand, groups, where, autoreset=False)
-            env.stop = stop
-            held.callback(env.close)
-            for i, config in enumerate(configs):
-                seat: Any = _Seat(env, i)
+            env = BatchEnv(configs[0].place[0], groups, DEVICE, autoreset=False)
+            about["worlds"] = env.num_envs
+            for run, config, single in zip(
+                batch.runs, configs, env.singles, strict=True
+            ):
                 options = config.run.seed, config.run.total_timesteps, env.device
-                singles.append(algorithm(config.learner, seat, alone, *options))
-        about["worlds"] = env.num_envs
-        for run, config, one in zip(batch.runs, configs, singles, strict=True):
-            checkpoint = Checkpoint(files.run_dir(run), one, alone)
-            epoch = training.begin(checkpoint, config, about)
-            self.members.append(_Member(run, checkpoint, epoch))
+                one = algorithm(config.learner, vector.Workers(single), alone, *options)
+                checkpoint = Checkpoint(files.run_dir(run), one, alone)
+                epoch = training.begin(checkpoint, config, about)
+                self.members.append(_Member(run, checkpoint, epoch))
+        singles = [one.checkpoint.learner for one in self.members]
         self.learner = learners.BATCHED[algorithm](singles, env)
         self.n_test_episodes = configs[0].run.n_test_episodes
         self.begin = self.saved = self.shown = time.monotonic()
         self.steps_before = self.steps
-        if where != "loop":
-            torch.cuda.synchronize()  # what was built is ready for other streams
 
     @property
     def steps(self) -> int:
         """The steps of all runs so far."""
         return sum(one.env_steps for one in self.learner.learners)
 
-    def train_in_thread(self, free: threading.Semaphore) -> int:
-        """Train on a stream of its own; return the exit code.
-
-        Release `free` then, and stop all others on errors.
-        """
-        stream = torch.cuda.Stream() if device() != "loop" else None  # type: ignore[no-untyped-call]
-        try:
-            with torch.cuda.stream(stream):
-                self.train()
-            return int(bool(self.learner.failures))
-        except BaseException:
-            self.stop.set()
-            raise
-        finally:
-            free.release()
-
-    def train(self) -> None:
-        """Train until all runs have their steps, or have failed."""
+    def train(self) -> int:
+        """Train until all runs have their steps, or have failed; return the exit code."""
         while self.learner.active:
             self.epoch()
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
         self.save()
         self.show()
+        return int(bool(self.learner.failures))
 
     def epoch(self) -> None:
         """Play one epoch of each active run and learn from it, as `training` does with one."""

@@ -46,10 +46,10 @@ class Job:
     folder: Path
     """The study's folder; absolute, where other machines are to find it."""
     runs: tuple[Run, ...]
-    """One run, or those of batches."""
+    """One run, or those of a batch."""
     ranks: int = 1
-    n_batches: int = 0
-    """Number of batches that are trained at once on a GPU; 0: a run alone."""
+    is_batch: bool = False
+    """True if they are trained as a batch, on a GPU."""
     cwd: Path = field(default_factory=Path.cwd)
     """The folder where files that its flags name are looked for."""
     imports: tuple[str, ...] = field(default_factory=lambda: (*plugins.imported,))
@@ -60,8 +60,8 @@ class Job:
         """The arguments of `tactilerl` that train it, or go on where it was cut off."""
         names = [run.name for run in self.runs]
         flags = [f"--import={module}" for module in self.imports]
-        flags.append(f"--batches={self.n_batches}")
-        return ["study", "train", str(self.folder), *names, *flags]
+        as_batch = ["--batch"] * self.is_batch
+        return ["study", "train", str(self.folder), *names, *flags, *as_batch]
 
 
 def check(files: StudyFiles, runs: Iterable[Run]) -> None:
@@ -168,7 +168,7 @@ def _process(log_file: Path, job: Job) -> int:
         done = subprocess.run(
             [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
-            stdout=None if job.n_batches else log,
+            stdout=None if job.is_batch else log,
             stderr=log,
             env=_environment(),
             cwd=job.cwd,

@@ -53,14 +53,17 @@ class PointBatch(gym.vector.VectorEnv):
         self.single_observation_space = Point(max(seen)).observation_space
         self.single_action_space = self.points[0].action_space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._seen = [None] * self.num_envs
+        self._seen, self._later = [None] * self.num_envs, {}
         self._over, self._waits = np.ones(self.num_envs, bool), np.zeros(self.num_envs, int)
 
     def reset(self, *, seed=None, options=None):
         for i in np.flatnonzero(options["reset_mask"]):
             self._seen[i], _ = self.points[i].reset(seed=seed[i])
             self._over[i], self._waits[i] = False, 0
-        return self._obs(), {}
+        return self._obs(), self._info()
+
+    def _info(self, **flags):
+        return dict.fromkeys(("is_success", "diverged", "holding"), self._over & False) | flags
 
     def step(self, actions):
         rewards, ends, cuts = np.zeros(self.num_envs, np.float32), self._over.copy(), self._over.copy()
@@ -69,8 +72,6 @@ class PointBatch(gym.vector.VectorEnv):
             if self._over[i]:
                 continue
             if self._waits[i] == 0:
-                self._result = None
-                self._later = getattr(self, "_later", {})
                 self._later[i] = point.step(action)
                 self._waits[i] = 3 if self._later[i][2] else 1
             self._waits[i] -= 1
@@ -79,7 +80,7 @@ class PointBatch(gym.vector.VectorEnv):
                 continue
             self._seen[i], rewards[i], ends[i], cuts[i], info = self._later[i]
             success[i], self._over[i] = info["is_success"], ends[i] or cuts[i]
-        info = {"is_success": success, "holding": holding, "diverged": holding & False}
+        info = self._info(is_success=success, holding=holding)
         return self._obs(), *map(torch.from_numpy, (rewards, ends, cuts)), info
 
     def _obs(self):
@@ -183,7 +184,7 @@ class Breaks(PointBatch):
 
     def reset(self, **options):
         obs, _ = super().reset(**options)
-        return obs, {"diverged": self.broken & (self.what == "reset")}
+        return obs, self._info(diverged=self.broken & (self.what == "reset"))
 
     def step(self, actions):
         assert actions.isfinite().all()
@@ -230,7 +231,9 @@ def test_tests_are_as_many_as_asked_for(monkeypatch):
 
 def test_a_gradient_that_is_off_changes_nothing():
     mlp = single("ppo", PPO_CONFIG, 5, 0).actor
-    networks = batch.Networks([[(mlp, None)]], [torch.arange(4)], 4, torch.device("cpu"))
-    before = [part.detach().clone() for part in networks.rows]
-    networks.step(torch.full_like(before[0], np.inf), torch.ones(1, 1), torch.zeros(1, 1))
-    assert all(map(torch.equal, networks.rows, before))
+    networks = batch.Networks([(mlp, None)], [torch.ones(4, dtype=torch.bool)], torch.device("cpu"))
+    before = networks.rows.clone()
+    networks.flat.grad = torch.full_like(networks.flat, np.inf)
+    networks.lr, networks.on = torch.ones(1, 1), torch.zeros(1, 1)
+    networks.step()
+    assert torch.equal(networks.rows, before)

@@ -51,17 +51,16 @@ grid = {seed = 0}
 
 @pytest.fixture
 def in_a_loop(monkeypatch, trained_here):
-    monkeypatch.setenv(batch.DEVICE, "loop")
-    monkeypatch.setenv(batch.PROCESSES, "1")  # they share one output
+    monkeypatch.setattr(batch, "DEVICE", "loop")
     monkeypatch.setattr(batch, "SPARE", 0.5)
 
 
 def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, capsys, monkeypatch):
     out, study = tmp_path / "out", write(tmp_path, STUDY)
-    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "2"]
+    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "1"]
     assert main(args) == 0
     said = capsys.readouterr().out
-    assert "not on a GPU: bullet_s0: simulator: found 'pybullet'" in said
+    assert "not on a GPU: bullet_s0: simulator of a batch: found 'pybullet'" in said
     assert "batch mpl ppo: 4 runs" in said
     assert "batch mpl ddpg_her: 2 runs" in said
     all_records = [one for one in records.load(out)[1] if one.run.setup != "bullet"]
@@ -133,19 +132,14 @@ def test_a_run_that_diverges_leaves_the_others_of_its_batch(tmp_path, in_a_loop,
     assert "stopped: a loss or a parameter" in capsys.readouterr().out
 
 
-def test_a_batch_that_is_told_to_end_ends_at_its_next_step(tmp_path, in_a_loop, monkeypatch, capsys):
-    """As SIGTERM tells it, by a flag."""
-    steps, step = [], batch._Worlds.step
+def test_a_batch_that_is_interrupted_says_how_to_go_on(tmp_path, in_a_loop, monkeypatch, capsys):
+    def ends(self, actions):
+        raise KeyboardInterrupt
 
-    def told(self, actions):
-        steps.append(self.stop.set())
-        return step(self, actions)
-
-    monkeypatch.setattr(batch._Worlds, "step", told)
+    monkeypatch.setattr(batch.BatchEnv, "step", ends)
     study = write(tmp_path, STUDY.partition("[setups.bullet]")[0])
     args = ["study", "run", str(study), "--out", str(tmp_path / "out"), "--on", "gpu", "--jobs", "1"]
     assert main(args) == 1
-    assert len(steps) == 1
     assert "interrupted: 6; run the same command to go on" in capsys.readouterr().out
 
 
@@ -177,7 +171,6 @@ def test_a_study_without_a_batch_is_refused(tmp_path, in_a_loop, capsys):
 
 
 def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv(batch.DEVICE, raising=False)
     args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]
     has_extra = shutil.which("nvidia-smi") or torch.cuda.is_available()
     if has_extra:
