@@ -10,14 +10,12 @@ from typing import Any, cast
 
 import gymnasium as gym
 
-from ..envs import scenes, sensors, tasks, vector
+from ..envs import scenes, scripted, sensors, tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..errors import input_errors
-from ..runs.still import note_of_standing_still
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
-from .grasps import require_grasp
-from .scene import layout_notes, read_scene, sensor_notes
+from .scene import layout_notes, read_scene, require_grasp, sensor_notes
 
 ABOUT = """\
 Describe an environment: what it is, its actions, observations and taxels. Without flags it also
@@ -59,7 +57,9 @@ def main(args: list[str]) -> int:
             return 0
         with closing(GraspEnv(read.env, scene)) as env:
             content = _content(read.env, env)
-            content["notes"] += note_of_standing_still(vector.Workers(env).play)
+            content["notes"] += scripted.notes_of_standing_still(
+                vector.Workers(env).play
+            )
         check = None
         if read.check:
             if tasks.TASKS[scene.task].giver is None:

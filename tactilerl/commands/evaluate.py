@@ -19,7 +19,7 @@ from ..envs import sensors
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
-from ..runs import evaluation, policies, recording
+from ..runs import evaluation, policies
 from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
@@ -118,7 +118,7 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
         file = command.record, command.overwrite
-        recorded = recording.recorder(*file, workers.env, policy)
+        recorded = evaluation.recorder(*file, workers.env, policy)
         with closing(workers), shown as tick, recorded as record:
             for episode in workers.play(task, range(command.episodes)):
                 record(len(rows), episode)

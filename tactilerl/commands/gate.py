@@ -14,8 +14,7 @@ from ..machine import WorkerCount, free_cores
 from ..scripted import gate
 from ..terminal import flags
 from ..terminal.console import console, progress
-from .grasps import require_grasp
-from .scene import layout_notes, read_scene, sensor_notes, warn
+from .scene import layout_notes, read_scene, require_grasp, sensor_notes, warn
 
 ABOUT = """\
 Can touch make a difference in a scene? Compares scripted hands that feel, see, or do neither,

@@ -19,8 +19,7 @@ from ..errors import InputError, input_errors
 from ..files import require_new
 from ..pictures import render
 from ..terminal.console import console, progress
-from .grasps import require_grasp
-from .scene import layout_notes, read_scene
+from .scene import layout_notes, read_scene, require_grasp
 
 ABOUT = """\
 Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: render).

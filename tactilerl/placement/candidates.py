@@ -1,4 +1,4 @@
-"""Read the flags of a design: its scenes, and the taxels that may be chosen."""
+"""Read the flags of a design: its scenes, the taxels that may be chosen, and what they cost."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from ..envs.state import Array
 from ..envs.validation import Newtons, require_known
 from ..machine import WorkerCount
 from ..pictures import places
-from .prices import Prices
 
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
@@ -281,6 +280,59 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
         for group in groups
     ]
     return Groups(tuple(group.name for group in groups), np.array(members))
+
+
+@dataclass(frozen=True)
+class Prices:
+    """Say what sets of taxels cost: each one, and each board that reads some of one group."""
+
+    cost: Cost
+    groups: Array
+    """(m,) int: each taxel's group. A board serves one group only."""
+
+    @property
+    def channels(self) -> int:
+        """Number of taxels that a board reads."""
+        return self.cost.channels or len(self.groups)
+
+    def _counts(self, taxels: Sequence[int]) -> Array:
+        """Return how many of some taxels are in each group (g,)."""
+        return np.bincount(self.groups[list(taxels)], minlength=self.groups.max() + 1)
+
+    def of(self, taxels: Sequence[int]) -> float:
+        """Return the price of some taxels and their boards."""
+        boards = np.ceil(self._counts(taxels) / self.channels).sum()
+        return self._price(len(taxels), int(boards))
+
+    def _price(self, n: int, boards: int) -> float:
+        return round(self.cost.each * n + self.cost.board * boards, 6)
+
+    def fits(self, taxels: Sequence[int], boards: int) -> Array:
+        """Tell which taxels go on to no more than some boards beside these, bool (m,)."""
+        counts = self._counts(taxels)
+        needs_another = counts % self.channels == 0
+        used = np.ceil(counts / self.channels).sum()
+        return np.asarray(used + needs_another[self.groups] <= boards)
+
+    def sizes(
+        self, taxels: Sequence[int], numbers: range, budget: float
+    ) -> list[tuple[int, int]]:
+        """Return the numbers of taxels, of these, and of boards that some money buys.
+
+        Raise ValueError where that is not even the least of the `numbers`.
+        """
+        n_groups, sizes = len(np.unique(self.groups[list(taxels)])), []
+        for n in numbers:
+            most = min(n, n_groups + max(0, n - n_groups) // self.channels)
+            fewest = -(-n // self.channels) if self.cost.board else most
+            sizes += [(n, boards) for boards in range(fewest, most + 1)]
+        if (least := self._price(*sizes[0])) > budget:
+            n, boards = sizes[0]
+            raise ValueError(
+                f"budget: found {budget:g}, allowed {least:g} or more, the price of "
+                f"{n} of these sensors and {boards} of their boards"
+            )
+        return [size for size in sizes if self._price(*size) <= budget]
 
 
 def priced(

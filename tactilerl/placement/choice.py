@@ -18,13 +18,11 @@ from ..scripted import gate
 from . import cover
 from .candidates import DesignFlags, Pool
 from .cover import Starts
-from .prices import knee
 from .recording import record
 
 CHOICE, TEST = 500_000, 750_000
 """Seeds of starts to choose from, and to judge on; those of the gate are others."""
 RANDOM_SETS = 20
-N_RESAMPLES = 10_000
 ByWait = dict[float, Starts]
 """Starts by how far the hand is closed while it waits."""
 Tick = Callable[..., None]
@@ -236,19 +234,6 @@ def _taxels(n: int, price: float | None = None) -> str:
     return f"{n} {'taxel' if n == 1 else 'taxels'}{cost}"
 
 
-def difference(a: Design, b: Design) -> statistics.Estimate:
-    """Return the success of the best set of `a` less that of `b`, in the same starts."""
-    won = []
-    for design in (a, b):
-        starts = design.judge.test[design.judge.wait(design.best)]
-        won.append(cover.successes(starts, design.best).astype(float))
-    n_scenes = len(a.pool.scenes)
-    rng, n = np.random.default_rng(0), len(won[0]) // n_scenes
-    # Within each scene: which ones there are is not by chance.
-    counts = [statistics.resample(rng, n, N_RESAMPLES) for _ in range(n_scenes)]
-    return statistics.mean(won[0] - won[1], np.vstack(counts))
-
-
 def design(pool: Pool, workers: int, tick: Tick = lambda *_: None) -> Design:
     """Choose taxels by which a hand succeeds that closes at the first touch.
 
@@ -389,3 +374,14 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
         if not better or pick.score > better[-1].score:
             better.append(pick)
     return better
+
+
+def knee(prices: Sequence[float], successes: Sequence[float]) -> int:
+    """Return the index from which on more money buys little.
+
+    It is the point that is furthest above the line from the first to the last (Satopää et al. 2011,
+    "Finding a 'kneedle' in a haystack"). The first is what one has for nothing.
+    """
+    x, y = (np.asarray(values, float) for values in (prices, successes))
+    run, rise = max(x[-1] - x[0], 1e-9), max(y[-1] - y[0], 1e-9)
+    return int(np.argmax((y - y[0]) / rise - (x - x[0]) / run))

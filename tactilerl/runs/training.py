@@ -17,16 +17,14 @@ from .. import algos
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
-from ..envs import vector
-from ..errors import InputError, input_errors
+from ..envs import scripted, vector
+from ..errors import InputError, input_errors, interrupts_in_order
 from ..files import locked, pasted
 from ..machine import free_cores
-from ..terminal import interrupts
 from ..terminal.console import paragraph
 from ..terminal.epochs import EpochLog, require_tensorboard
 from . import evaluation
 from .config import FINAL_TEST, RunConfig, RunOptions
-from .still import note_of_standing_still
 from .store import Checkpoint, RunDir
 
 Row = dict[str, Any]
@@ -102,7 +100,7 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
                 notes.append(paragraph("resumed", done))
             elif config.scene and comm.rank == 0:
-                for note in note_of_standing_still(workers.play):
+                for note in scripted.notes_of_standing_still(workers.play):
                     notes.append(paragraph("warning", note))
             if learner.env_steps >= learner.total_timesteps:
                 advice = "" if config.learner.anneals else "; raise --total-timesteps"
@@ -128,7 +126,7 @@ def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[
             run_dir.create()
             held.enter_context(locked(run_dir.path))
             run_dir.settled(config)  # another process may have begun it meanwhile
-        held.enter_context(interrupts.in_order())
+        held.enter_context(interrupts_in_order())
         try:
             yield
         except algos.EndlessError as error:

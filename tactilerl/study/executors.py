@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ..errors import InputError, extra
+from ..errors import InputError, extra, interrupts_in_order
 from ..machine import free_cores
-from ..terminal import interrupts
 
 BATCH = {
     "slurm": "SLURM",
@@ -69,7 +68,7 @@ def start(
         raise InputError(f"--on {on}: {error}") from error
     # It would log tracebacks of what is said below in one line.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-    with client, interrupts.in_order():
+    with client, interrupts_in_order():
         try:
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:

@@ -35,8 +35,8 @@ INTERRUPTED = 130, -signal.SIGINT, -signal.SIGTERM
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # The first thing that a run's process does: from then on it ends with its parent.
-BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
-BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+BEGIN = "import os, sys; from tactilerl.errors import end_with; "
+BEGIN += "end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 
 
 @dataclass(frozen=True)
