@@ -18,7 +18,7 @@ from ..placement.candidates import DesignFlags, Pool
 from ..placement.choice import Design, design, n_played
 from ..placement.page import page
 from ..terminal import flags
-from ..terminal.console import console, progress
+from ..terminal.console import Progress, console
 from .scene import sensor_notes, warn
 
 ABOUT = """\
@@ -73,9 +73,8 @@ def main(args: list[str]) -> int:
                 notes += sensor_notes(pool.env, sensed)
         warn(notes)
         total, workers = sum(map(n_played, pools)), read.workers or free_cores()
-        what = f"playing about {total} episodes"
-        with progress(what, total) as tick:
-            results = [design(pool, workers, tick) for pool in pools]
+        tick = Progress(f"playing about {total} episodes", total)
+        results = [design(pool, workers, tick) for pool in pools]
         written = [] if read.out is None else write(results[0], read.out)
     for result in results:
         show(result)

@@ -23,7 +23,7 @@ from ..runs import evaluation, policies
 from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
-from ..terminal.console import console, progress
+from ..terminal.console import Progress, console
 from .scene import sensor_notes, warn
 
 ABOUT = """\
@@ -50,8 +50,7 @@ class _CommandFlags:
     touch: Literal["on", "off"] | None = None
     """Touch for the policy: on, as in training, or off (all taxels read zero); default: the run's."""
     json: bool = False
-    """Print JSON instead of a table, with what became of each episode: `render RUN --episode N` films
-    it."""
+    """Print JSON instead of a table, with what became of each episode."""
     record: Path | None = None
     """CSV file for every step of the episodes: what was observed, done and earned, in named columns."""
     overwrite: bool = False
@@ -114,12 +113,12 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     """Play the episodes of an evaluation; return a row for each."""
     rows: list[dict[str, Any]] = []
     task = evaluation.task(policy, command.stochastic)
-    shown = progress("playing", command.episodes, not command.json)
+    tick = Progress("playing", command.episodes)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
         file = command.record, command.overwrite
         recorded = evaluation.recorder(*file, workers.env, policy)
-        with closing(workers), shown as tick, recorded as record:
+        with closing(workers), recorded as record:
             for episode in workers.play(task, range(command.episodes)):
                 record(len(rows), episode)
                 rows.append(evaluation.row(episode))

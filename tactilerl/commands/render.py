@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..files import require_new
 from ..pictures import render
-from ..terminal.console import console, progress
+from ..terminal.console import console
 from .scene import layout_notes, read_scene, require_grasp
 
 ABOUT = """\
@@ -27,10 +26,10 @@ Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: r
 examples:
   tactilerl render --env shadow --layout 1
   tactilerl render runs/X --video film.mp4
-  tactilerl render runs/X --episode 17
   tactilerl render runs/X"""
-RUN_FLAGS = "video", "episodes", "episode"
+RUN_FLAGS = "video", "episodes"
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+VERDICTS = {True: "success", False: "no success"}
 
 
 @dataclass(frozen=True)
@@ -45,9 +44,6 @@ class RenderFlags:
     episodes.mp4 elsewhere, and of several runs."""
     episodes: Annotated[int, "[1, inf)"] = 3
     """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2 s."""
-    episode: Annotated[int, "[0, inf)"] | None = None
-    """Only this episode, by its number in `evaluate RUN --json`, as that plays it: with the whole hold
-    test."""
     env: str = "shadow"
     """The hand in the picture."""
     out: Path = Path("grasp.png")
@@ -60,23 +56,11 @@ class RenderFlags:
     """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: Annotated[float, "[-360, 360]"] = Camera.elevation
     """Elevation of the camera, degrees; positive looks up from below."""
-    distance: Annotated[float, "[0.05, 10]"] = Camera.distance
-    """Distance of the camera, m."""
 
     @property
     def camera(self) -> Camera:
         """The camera that these flags place."""
-        return Camera(self.azimuth, self.elevation, self.distance)
-
-    @property
-    def numbers(self) -> Sequence[int]:
-        """The episodes to show, by their numbers."""
-        return range(self.episodes) if self.episode is None else [self.episode]
-
-    @property
-    def hold_seconds(self) -> float | None:
-        """Length of hold tests, s; None for that of the run."""
-        return render.HOLD_SECONDS if self.episode is None else None
+        return Camera(self.azimuth, self.elevation)
 
 
 def main(args: list[str]) -> int:
@@ -90,10 +74,11 @@ def main(args: list[str]) -> int:
         if scene != setup(read.env):
             raise InputError("render RUN: found scene flags, but a run keeps its scene")
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
-        if read.video is None and len(read.run) == 1 and has_screen:
-            _watch(read)
-        else:
-            _film(read)
+        with input_errors():
+            if read.video is None and len(read.run) == 1 and has_screen:
+                _watch(read.run[0], read.episodes)
+            else:
+                _film(read)
         return 0
     require_new(read.out, read.overwrite)
     with input_errors():
@@ -107,25 +92,19 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _watch(read: RenderFlags) -> None:
+def _watch(run: Path, n_episodes: int) -> None:
     """Play a run's policy in a window."""
-    with input_errors():
-        env, play = render.staged(read.run[0], read.hold_seconds, "human")
-        with closing(env):
-            for number in read.numbers:
-                verdict = "success" if play(number) else "no success"
-                console.print(f"{read.run[0]}: {verdict}")
+    env, play = render.staged(run, "human")
+    with closing(env):
+        for number in range(n_episodes):
+            console.print(f"{run}: {VERDICTS[play(number)]}")
 
 
 def _film(read: RenderFlags) -> None:
     """Film runs' policies."""
-    video, tests = read.video or Path("episodes.mp4"), ""
-    if read.hold_seconds:
-        tests = f" (hold tests of {read.hold_seconds:g} s)"
+    video = read.video or Path("episodes.mp4")
     require_new(video, read.overwrite)
-    with input_errors(), progress("pictures") as tick:
-        for successes in render.film(
-            read.run, read.numbers, read.hold_seconds, read.camera, video, tick
-        ):
-            verdicts = ", ".join("success" if it else "no success" for it in successes)
-            console.print(f"{video}: {verdicts}{tests}")
+    for successes in render.film(read.run, read.episodes, read.camera, video):
+        verdicts = ", ".join(VERDICTS[success] for success in successes)
+        tests = f"(hold tests of {render.HOLD_SECONDS:g} s)"
+        console.print(f"{video}: {verdicts} {tests}")

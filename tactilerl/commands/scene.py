@@ -16,7 +16,7 @@ from ..files import replacing
 from ..machine import free_cores
 from ..scripted import grasp_search
 from ..terminal import flags
-from ..terminal.console import beside, progress
+from ..terminal.console import Progress, beside
 
 T = TypeVar("T")
 MIN_HELD_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
@@ -127,8 +127,8 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
 def find_grasp(name: str, scene: GraspConfig) -> grasp_search.FoundGrasp | None:
     """Search for a grasp and return the best; None where it does not hold. Say how it went."""
     beside.print(f"{name} has no [[grasp]]: looking for one")
-    with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
-        best = grasp_search.find(name, scene, free_cores(), tick)
+    tick = Progress("trying grasps", sum(grasp_search.ROUNDS))
+    best = grasp_search.find(name, scene, free_cores(), tick)
     up = f"{100 * best.share:.0f} % of the time"
     size = f"a {1e3 * best.grasp.object_size:g} mm object"
     if best.share >= MIN_HELD_SHARE:

@@ -13,12 +13,12 @@ import numpy as np
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import Hand
-from ..envs.simulators import Camera, Simulator
+from ..envs.simulators import Camera
 from ..envs.state import Array
 from ..errors import InputError, extra
 from ..files import replacing
 from ..scripted import reflexes
-from .hand_map import PAPER, TaxelMap, lettered, save_picture
+from .hand_map import LETTER, PAPER, TaxelMap, save_picture
 
 Pose = Literal["start", "grasp"]
 Colour = tuple[int, int, int]
@@ -32,9 +32,7 @@ FARTHER = 1.2  # than the distance of pictures: a hand is not cut while it opens
 SIDE, LINE, LETTERS = 480, 48, 26
 """Pixels of a film: height of the scene, of the line above it, and of its letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
-MAX_REACHES = (
-    0.6  # reaches of the hand that an object may be from the palm to be looked at
-)
+MAX_REACHES = 0.6  # of the hand: an object that is nearer to the palm is looked at
 
 
 def picture(
@@ -97,13 +95,11 @@ class _Artist:
         return np.hstack([image, self._map.picture(felt > 0)])
 
 
-def staged(
-    run: Path, hold_seconds: float | None, render_mode: str
-) -> tuple[GraspEnv, Callable[[int], bool]]:
+def staged(run: Path, render_mode: str) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's scene, and a function that plays its policy there and returns its success.
 
-    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start.
-    Raise InputError where the run is not of a grasping scene.
+    The scene has hold tests of `HOLD_SECONDS`; the function takes the number of a start. Raise
+    InputError where the run is not of a grasping scene.
     """
     import torch
 
@@ -114,10 +110,8 @@ def staged(
         raise InputError(
             f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
         )
-    if hold_seconds is not None:
-        scene = replace(config.scene, hold_seconds=hold_seconds)
-        config = replace(config, scene=scene)
-    env: GraspEnv = config.make_env(render_mode=render_mode)
+    scene = replace(config.scene, hold_seconds=HOLD_SECONDS)
+    env: GraspEnv = replace(config, scene=scene).make_env(render_mode=render_mode)
     task = evaluation.task(policy)
 
     def play(number: int) -> bool:
@@ -130,22 +124,16 @@ def staged(
 class _Player:
     """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
-    def __init__(
-        self,
-        run: Path,
-        hold_seconds: float | None,
-        camera: Camera,
-        tick: Callable[[], None],
-    ) -> None:
-        self.env, self._play = staged(run, hold_seconds, "rgb_array")
+    def __init__(self, run: Path, camera: Camera) -> None:
+        self.env, self._play = staged(run, "rgb_array")
         timestep = self.env.config.timestep
-        every = max(1, int(1 / FPS / timestep + 1e-6))
-        self.fps = 1 / (every * timestep)
-        self._name, self._number, self._tick = run.name, 0, tick
+        self._every = max(1, int(1 / FPS / timestep + 1e-6))
+        self.fps = 1 / (self._every * timestep)
+        self._name, self._number, self._since = run.name, 0, 0
         self._artist = _Artist(self.env, camera)
         self._pictures: list[Array] = []
-        filmed: Any = Filmed(self.env.simulator, every, self._show)
-        self.env.simulator = filmed
+        simulator: Any = self.env.simulator
+        self._step, simulator.step = simulator.step, self._filmed_step
 
     def film(self, number: int) -> tuple[list[Array], bool]:
         """Return an episode's pictures, and whether it succeeds."""
@@ -154,29 +142,35 @@ class _Player:
         self._show(*(("success", GREEN) if success else ("failure", RED)))
         return self._pictures + self._pictures[-1:] * END_PICTURES, success
 
+    def _filmed_step(self, joint_targets: Array, n_substeps: int) -> None:
+        """Do a simulator's step in portions, so that there is a picture after every few timesteps."""
+        while n_substeps > 0:
+            portion = min(n_substeps, self._every - self._since)
+            self._step(joint_targets, portion)
+            n_substeps -= portion
+            self._since = (self._since + portion) % self._every
+            if self._since == 0:
+                self._show()
+
     def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
         """Add a picture, with a line above it."""
+        from PIL import Image, ImageDraw
+
         image = self._artist.draw()
-        head = np.full((LINE, image.shape[1], 3), colour, np.uint8)
+        head = Image.new("RGB", (image.shape[1], LINE), colour)
         line = f"{self._name}, start {self._number}  {outcome}"
-        head = lettered(head, [(line, 14, LINE / 2)], LETTERS, "lm")
-        self._pictures.append(np.vstack([head, image]))
-        self._tick()
+        place = 14, LINE / 2
+        ImageDraw.Draw(head).text(place, line, LETTER, font_size=LETTERS, anchor="lm")
+        self._pictures.append(np.vstack([np.array(head), image]))
 
 
 def film(
-    runs: Sequence[Path],
-    numbers: Sequence[int],
-    hold_seconds: float | None,
-    camera: Camera,
-    out: Path,
-    tick: Callable[[], None],
+    runs: Sequence[Path], n_episodes: int, camera: Camera, out: Path
 ) -> Iterator[list[bool]]:
     """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
-    Yield the success of each, episode by episode, those of `numbers`. A hold test is as long as
-    `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand.
-    `tick` is called after every picture. InputError when a run's environment is not a grasping one.
+    Yield the success of each, episode by episode, with hold tests of `HOLD_SECONDS`. The camera
+    follows the hand. InputError when a run's environment is not a grasping one.
     """
     _require("--video", out, FILMS)
     with extra("render"):
@@ -184,44 +178,19 @@ def film(
     distance = FARTHER * camera.distance
     camera = replace(camera, distance=distance, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
-        players = [_Player(run, hold_seconds, camera, tick) for run in runs]
+        players = [_Player(run, camera) for run in runs]
         for player in players:
             opened.callback(player.env.close)
         fps = players[0].fps
         writer: Any = imageio.get_writer(out, fps=fps, macro_block_size=2)
         opened.enter_context(writer)
-        for number in numbers:
+        for number in range(n_episodes):
             played = [player.film(number) for player in players]
             films, successes = zip(*played, strict=True)
             for i in range(max(map(len, films))):  # a shorter film waits at its end
                 images = [film[min(i, len(film) - 1)] for film in films]
                 writer.append_data(np.hstack(images))
             yield [*successes]
-
-
-class Filmed:
-    """Wrap a simulator so that it calls `show` after every `every` timesteps."""
-
-    def __init__(
-        self, simulator: Simulator, every: int, show: Callable[[], None]
-    ) -> None:
-        """Wrap a simulator that stands at the start of a picture."""
-        self._inner, self._every, self._show = simulator, every, show
-        self._since = 0
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what the simulator has."""
-        return getattr(self._inner, name)
-
-    def step(self, joint_targets: Array, n_substeps: int) -> None:
-        """Do the same steps in smaller portions."""
-        while n_substeps > 0:
-            portion = min(n_substeps, self._every - self._since)
-            self._inner.step(joint_targets, portion)
-            n_substeps -= portion
-            self._since = (self._since + portion) % self._every
-            if self._since == 0:
-                self._show()
 
 
 def _require(flag: str, out: Path, endings: tuple[str, ...]) -> None:

@@ -10,9 +10,8 @@ from tactilerl.envs import layouts
 from tactilerl.envs.sensors import Cost
 from tactilerl.pictures.hand_map import Unrolled
 from tactilerl.placement import choice, cover, page
-from tactilerl.placement.candidates import DesignFlags, Pool, groups_of
+from tactilerl.placement.candidates import DesignFlags, Pool, Prices, groups_of
 from tactilerl.placement.cover import NEVER, Starts
-from tactilerl.placement.prices import Prices
 
 from browser import Browser, needs_chromium
 

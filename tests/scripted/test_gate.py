@@ -12,7 +12,7 @@ from tactilerl.scripted import gate, reflexes
 from tactilerl.scripted.gate import HandResult
 from tactilerl.scripted.reflexes import Reflex
 from tactilerl.terminal import console, flags
-from tactilerl.terminal.console import progress
+from tactilerl.terminal.console import Progress
 
 from one_line import fails_with
 
@@ -157,25 +157,20 @@ def test_bad_input(args, named, capsys):
     fails_with(capsys, ["gate", *args], named)
 
 
-def test_without_a_terminal_one_reads_how_far_it_is(capsys):
-    with progress("playing", 40, is_long=True) as tick:
-        assert capsys.readouterr().err == ""
+def test_of_long_work_one_reads_how_far_it_is_in_a_unit_that_fits(capsys, monkeypatch):
+    Progress("evaluating", 3)(2)
+    assert capsys.readouterr().err == ""  # so soon
+    monkeypatch.setattr(console, "FIRST", 0.0)
+    tick = Progress("playing", 40)
+    tick()
+    tick(3)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("playing: 2 %, about ")
+    assert second.startswith("playing: 10 %, about ")
+    for _ in range(36):
         tick()
-        tick(3)
-        lines = capsys.readouterr().err.splitlines()
-        assert lines[0] == "playing"
-        assert lines[1].startswith("2 %, about ")
-        assert lines[2].startswith("10 %, about ")
-        for _ in range(36):
-            tick()
-        assert len(capsys.readouterr().err.splitlines()) == 8
-
-
-def test_the_time_of_long_work_is_said_early_and_in_a_unit_that_fits(capsys, monkeypatch):
-    monkeypatch.setattr(console, "AT_LATEST", 0.0)
-    with progress("playing", 100_000, is_long=True) as tick:
-        tick()
-        tick()
-    assert re.fullmatch(r"playing\n0.001 %, about \d+ \w+ left\n", capsys.readouterr().err)
+    assert len(capsys.readouterr().err.splitlines()) == 8
+    Progress("playing", 100_000)()
+    assert re.fullmatch(r"playing: 0.001 %, about \d+ \w+ left\n", capsys.readouterr().err)
     times = {40: "40 s", 100: "2 min", 1500: "25 min", 4 * 3600: "4 h", 10**6: "12 days"}
     assert {seconds: console.about(seconds) for seconds in times} == times
