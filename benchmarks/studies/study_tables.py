@@ -72,6 +72,12 @@ def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     return [{seed: statistics.end_rate(y, 0.1) for seed, y in of.items()} for of in rates]
 
 
+def both_groups(runs: Sequence[Record], setup: Setup, setting: str, score: str) -> list[BySeed]:
+    """Return the scores of treatment and control in a setting."""
+    groups = (study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2])
+    return study_pairs.scored(score, *groups)
+
+
 def part(record: Record, begin: float, column: str = "success_rate", end: float = 1.0) -> float:
     """Return the mean of a column between two fractions of a run's steps, by steps.
 
@@ -204,7 +210,7 @@ def senses(name: str = "senses") -> None:
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for setting in settings:
-            pairs = study_pairs.in_pairs(study_pairs.both_groups(runs, setup, setting, "area"))
+            pairs = study_pairs.in_pairs(both_groups(runs, setup, setting, "area"))
             row.append(estimate(pairs.difference, "+.2f"))
         rows.append(row)
     noises = (f"joint error {setting.removeprefix('joint noise held ')} rad" for setting in settings)
@@ -219,7 +225,7 @@ def over_layouts(name: str) -> None:
     study, runs = load(name)
     rows, pairs = [], []
     for setup in study.setups:
-        settings = [study_pairs.both_groups(runs, setup, setting, "area") for setting in setup.settings]
+        settings = [both_groups(runs, setup, setting, "area") for setting in setup.settings]
         seeds, scores = in_common([group for groups in zip(*settings, strict=True) for group in groups])
         means = scores.reshape(2, len(settings), len(seeds)).mean(axis=1)
         pair = study_pairs.in_pairs([dict(zip(seeds, group, strict=True)) for group in means])
@@ -241,10 +247,7 @@ def converged(setup_name: str) -> None:
     rows = []
     for setting in setup.settings:
         theirs = next(rates), next(rates)
-        ours = (
-            np.mean([*one.values()])
-            for one in study_pairs.both_groups(runs, setup, setting, "converged")
-        )
+        ours = (np.mean([*one.values()]) for one in both_groups(runs, setup, setting, "converged"))
         rows.append((label(setting), *theirs, *(f"{rate:.2f}" for rate in ours)))
     markdown("| layout | paper: touch | no touch | ours: touch | no touch |", rows)
 

@@ -38,7 +38,7 @@ class TestCommonRange:
 
     def record(self, steps, rates, seed=0):
         run = Run(f"r{seed}", "one", "all", "on", seed, "success_rate", {})
-        points = zip(map(str, steps), map(str, rates), strict=True)
+        points = zip(steps, rates, strict=True)
         rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
         return records.Record(run, "done", "", {}, rows)
 

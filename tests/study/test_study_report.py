@@ -21,7 +21,6 @@ from one_line import fails_with, printed
 from study_records import PAPER_LIKE, fail, interrupt, make_study
 
 ROOT = Path(__file__).parents[2]
-RESAMPLES = 500
 LOADED = """new Promise((go) => {
     const isThere = () => document.readyState === "complete" && document.title;
     const wait = () => isThere() ? go() : setTimeout(wait, 50);
@@ -29,9 +28,11 @@ LOADED = """new Promise((go) => {
 })"""
 
 
-@pytest.fixture(autouse=True)
-def _few_resamples(monkeypatch):
-    monkeypatch.setattr(analysis.analyse, "__defaults__", (RESAMPLES,))
+@pytest.fixture(autouse=True, scope="module")
+def _few_resamples():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(analysis, "N_RESAMPLES", 500)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(folder):
-    return analysis.analyse(*records.load(folder.path), RESAMPLES)
+    return analysis.analyse(*records.load(folder.path))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +81,7 @@ class TestNumbers:
             header, *lines = table.read_text().splitlines()
             lines = [f"{line}," for line in lines[:-1]] + [f"{lines[-1]},0.{4 + (run.group == 'on')}"]
             table.write_text("\n".join([f"{header},final_test_success_rate", *lines, ""]))
-        tested = analysis.analyse(*records.load(folder.path), 100)
+        tested = analysis.analyse(*records.load(folder.path))
         cells = [row["Tested success"] for row in rows(tested, "pybullet_measures")]
         assert cells[1:3] == ["0.40 [0.40, 0.40]", "0.50 [0.50, 0.50]"]
         assert cells[0].startswith("–")
@@ -103,12 +104,12 @@ class TestNumbers:
         folder = make_study(tmp_path / "s", n_seeds=3)
         lost = next(r for r in folder.study().runs() if (r.group, r.seed) == ("off", 1))
         fail(folder, lost)
-        result = analysis.analyse(*records.load(folder.path), 100)
+        result = analysis.analyse(*records.load(folder.path))
         assert result.setups[0].pairs[lost.setting].seeds == [0, 2]
         assert any("2 of 3 pairs" in said for said in report.answers(result))
 
     def test_one_pair_has_no_interval(self, tmp_path):
-        result = analysis.analyse(*records.load(make_study(tmp_path / "s", n_seeds=1).path), 100)
+        result = analysis.analyse(*records.load(make_study(tmp_path / "s", n_seeds=1).path))
         said = report.answers(result)[0]
         assert said.endswith("too few runs to find a difference, which takes 7 pairs (1 of 1 pairs).")
 
@@ -236,7 +237,7 @@ class TestForReaders:
     @needs_chromium
     def test_no_word_of_a_report_is_wider_than_a_phone(self, tmp_path):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        page = report.write(analysis.analyse(*records.load(folder.path), 100), tmp_path / "r")
+        page = report.write(analysis.analyse(*records.load(folder.path)), tmp_path / "r")
         browser = Browser(page.as_uri(), 320, LOADED)
         try:
             assert browser.run("document.documentElement.scrollWidth") <= 320
