@@ -63,7 +63,9 @@ def main(args: list[str]) -> int:
     ]
     with input_errors():
         if read.out is not None:
-            require_out(read.out, len(asked), read.overwrite)
+            if len(asked) > 1:
+                raise InputError("--out: found with several designs, allowed with one")
+            require_new(read.out, read.overwrite, ".toml", "")
         pools = [Pool.of(one) for one in asked]
         notes = []
         for pool in pools:
@@ -81,19 +83,6 @@ def main(args: list[str]) -> int:
     for path in written:
         console.print(str(path))
     return 0
-
-
-def require_out(out: Path, n: int, overwrite: bool) -> None:
-    """Raise InputError where `n` designs cannot be written to `out`, before minutes of playing."""
-    if n > 1:
-        raise InputError(
-            f"--out: found with {n} sensors or thresholds, allowed with one: each has its own layouts"
-        )
-    if out.suffix not in ("", ".toml"):
-        raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
-    if out.suffix and not out.parent.is_dir():
-        raise InputError(f"--out: found no folder {str(out.parent)!r}")
-    require_new(out, overwrite)
 
 
 def write(result: Design, out: Path) -> list[Path]:

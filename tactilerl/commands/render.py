@@ -80,7 +80,7 @@ def main(args: list[str]) -> int:
             else:
                 _film(read)
         return 0
-    require_new(read.out, read.overwrite)
+    require_new(read.out, read.overwrite, ".png")
     with input_errors():
         notes = layout_notes(read.env, scene.layout)
         if read.pose == "grasp" and tasks.TASKS[scene.task].giver is None:
@@ -103,7 +103,7 @@ def _watch(run: Path, n_episodes: int) -> None:
 def _film(read: RenderFlags) -> None:
     """Film runs' policies."""
     video = read.video or Path("episodes.mp4")
-    require_new(video, read.overwrite)
+    require_new(video, read.overwrite, ".mp4")
     for successes in render.film(read.run, read.episodes, read.camera, video):
         verdicts = ", ".join(VERDICTS[success] for success in successes)
         tests = f"(hold tests of {render.HOLD_SECONDS:g} s)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from operator import itemgetter
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -159,11 +159,3 @@ class TaxelMap:
         for is_lit, disc in sorted(discs, key=itemgetter(0)):
             draw.ellipse(disc, LIT if is_lit else TAXEL)
         return np.array(image)
-
-
-def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
-    """Write a picture as .png or .jpg."""
-    from PIL import Image
-
-    kind = {".png": "PNG", ".jpg": "JPEG"}[ending.lower()]
-    Image.fromarray(picture).save(file, kind)

@@ -18,12 +18,11 @@ from ..envs.state import Array
 from ..errors import InputError, extra
 from ..files import replacing
 from ..scripted import reflexes
-from .hand_map import LETTER, PAPER, TaxelMap, save_picture
+from .hand_map import LETTER, PAPER, TaxelMap
 
 Pose = Literal["start", "grasp"]
 Colour = tuple[int, int, int]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
-FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 ABOVE_GROUND = 0.01  # m, where a camera stays: through the ground all is grey
@@ -42,7 +41,8 @@ def picture(
 
     Beside it is the hand unrolled. In a handover the hand closes around what its giver holds.
     """
-    _require("--out", out, PICTURES)
+    with extra("render"):
+        from PIL import Image
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp" and env.task.giver is not None:
@@ -53,7 +53,7 @@ def picture(
                 pass
         image = _Artist(env, camera).draw()
         with replacing(out) as file:
-            save_picture(image, file, out.suffix)
+            Image.fromarray(image).save(file, "PNG")
         return int((env.taxel_readings() > 0).sum())
 
 
@@ -172,7 +172,6 @@ def film(
     Yield the success of each, episode by episode, with hold tests of `HOLD_SECONDS`. The camera
     follows the hand. InputError when a run's environment is not a grasping one.
     """
-    _require("--video", out, FILMS)
     with extra("render"):
         import imageio.v2 as imageio
     distance = FARTHER * camera.distance
@@ -191,17 +190,3 @@ def film(
                 images = [film[min(i, len(film) - 1)] for film in films]
                 writer.append_data(np.hstack(images))
             yield [*successes]
-
-
-def _require(flag: str, out: Path, endings: tuple[str, ...]) -> None:
-    """Raise InputError where `out` cannot be written, or there is nothing to draw with."""
-    if out.suffix.lower() not in endings:
-        raise InputError(
-            f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}"
-        )
-    if not out.parent.is_dir():
-        raise InputError(
-            f"{flag}: found no folder {out.parent}, allowed one that exists"
-        )
-    with extra("render"):
-        import PIL  # noqa: F401

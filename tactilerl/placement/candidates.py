@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -94,17 +93,23 @@ class DesignFlags:
 
     def kind(self, scene: GraspConfig) -> Kind:
         """Return the sensor: what a flag says counts, then its file, then the scene."""
-        file = vars(sensors.load(self.sensor)) if self.sensor else {}
-        radius, threshold, delay = map(file.get, ("radius", "threshold", "delay"))
+        file = sensors.load(self.sensor) if self.sensor else None
+        known: dict[str, Any] = {
+            "taxel_threshold": scene.taxel_threshold,
+            "taxel_delay": scene.taxel_delay * scene.control_dt,
+            **(file.numbers if file else {}),
+        }
         if self.radius is not None:
-            radius = 1e-3 * self.radius
-        if threshold is None:
-            threshold = scene.taxel_threshold
+            known["taxel_radius"] = 1e-3 * self.radius
         if self.taxel_threshold is not None:
-            threshold = self.taxel_threshold
-        if delay is None:
-            delay = scene.taxel_delay * scene.control_dt
-        return Kind(file.get("name"), radius, threshold, delay, file.get("cost"))
+            known["taxel_threshold"] = self.taxel_threshold
+        return Kind(
+            name=file.name if file else None,
+            radius=known.get("taxel_radius"),
+            threshold=known["taxel_threshold"],
+            delay=known["taxel_delay"],
+            cost=file.cost if file else None,
+        )
 
     @property
     def numbers(self) -> range:
@@ -382,6 +387,8 @@ class Pool:
     losses: Groups
     prices: Prices | None = None
     """None where the sensor's file says none."""
+    overlap: Array | None = None
+    """(n, n) bool: which two do not fit beside each other? None where nobody said how large they are."""
     early: tuple[str, ...] = ()
     """Names of candidates that were left out."""
 
@@ -392,15 +399,16 @@ class Pool:
         env, scenes = scenes_of(flags)
         hand = hands.get(env)
         sensor = flags.kind(next(iter(scenes.values())))
-        own = fitted(candidates(flags, hand), radius=sensor.radius)
-        there = layouts.load(flags.keep).place(hand) if flags.keep else own.take([])
+        fit = fitted(candidates(flags, hand), radius=sensor.radius)
+        there = layouts.load(flags.keep).place(hand) if flags.keep else fit.take([])
         named = [layouts.load(name).place(hand) for name in flags.beside]
-        skin, (existing, chosen_from, *beside) = joined([there, own, *named])
+        skin, (existing, chosen_from, *beside) = joined([there, fit, *named])
         skin = fitted(skin, threshold_N=sensor.threshold)
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
         taken = {spots[index] for index in existing}
-        free = np.array([spots[i] not in taken for i in existing + chosen_from])
+        own = existing + chosen_from
+        free = np.array([spots[i] not in taken for i in own])
         pool = cls(
             flags=flags,
             env=env,
@@ -413,6 +421,7 @@ class Pool:
             references=dict(zip(flags.beside, beside, strict=True)),
             losses=groups_of(flags.survives or "taxel", hand, skin, "survives"),
             prices=priced(flags, sensor.cost, hand, skin, free),
+            overlap=None if sensor.radius is None else overlap(hand, skin.take(own)),
         )
         most = pool.sizes()[-1][0]
         if flags.budget is None and most > free.sum():
@@ -430,16 +439,6 @@ class Pool:
     def whole(self) -> list[int]:
         """All that the hand can have: what it has, and all that may be chosen."""
         return [*self.existing, *np.flatnonzero(self.free).tolist()]
-
-    @cached_property
-    def overlap(self) -> Array | None:
-        """(n, n) bool: which two do not fit beside each other?
-
-        None where nobody said how large the sensors are.
-        """
-        if self.sensor.radius is None:
-            return None
-        return overlap(self.hand, self.skin.take(range(len(self.free))))
 
     def sizes(self) -> list[tuple[int, int]]:
         """Return how many taxels, and on how many boards, sets may have; 0 boards: any number."""

@@ -25,8 +25,7 @@ CHOICE, TEST = 500_000, 750_000
 RANDOM_SETS = 20
 ByWait = dict[float, Starts]
 """Starts by how far the hand is closed while it waits."""
-Tick = Callable[..., None]
-START = 3  # episodes that take as long as a recorded start
+Tick = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -234,10 +233,10 @@ def _taxels(n: int, price: float | None = None) -> str:
     return f"{n} {'taxel' if n == 1 else 'taxels'}{cost}"
 
 
-def design(pool: Pool, workers: int, tick: Tick = lambda *_: None) -> Design:
+def design(pool: Pool, workers: int, tick: Tick = lambda: None) -> Design:
     """Choose taxels by which a hand succeeds that closes at the first touch.
 
-    `tick` is called after every episode, and with a number after as many.
+    `tick` is called after every start and episode.
     """
     flags = pool.flags
     choice = _played(pool, CHOICE, flags.starts, workers, tick)
@@ -279,12 +278,12 @@ def judged(judge: Judge, blind: float, blind_hand: str, wait: float) -> Design:
 
 
 def n_played(pool: Pool) -> int:
-    """Return the number of episodes that a design plays, more or less."""
+    """Return the number of starts and episodes that a design plays, more or less."""
     flags = pool.flags
     n_starts = len(pool.waits) * (flags.starts + flags.test_starts)
     n_senses = len(gate.BLIND) - 1  # for most scenes let nobody see
     n_blind = n_senses * gate.n_played(flags.test_starts, _search(flags))
-    return len(flags.scene) * (START * n_starts + n_blind)
+    return len(flags.scene) * (n_starts + n_blind)
 
 
 @cache  # designs with several sensors have the same
@@ -328,7 +327,7 @@ def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
     for wait in pool.waits:
         scenes, delay = _waiting(pool, wait), pool.sensor.delay
         played[wait] = record(
-            pool.env, scenes, pool.skin, delay, numbers, workers, partial(tick, START)
+            pool.env, scenes, pool.skin, delay, numbers, workers, tick
         )
     return played
 

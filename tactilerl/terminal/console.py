@@ -32,9 +32,9 @@ class Progress:
         self._done, self._due = 0, 0.0
         self._began = time.monotonic()
 
-    def __call__(self, n: int = 1) -> None:
-        """Count `n` more as done."""
-        self._done += n
+    def __call__(self) -> None:
+        """Count one more as done."""
+        self._done += 1
         share, spent = self._done / self._total, time.monotonic() - self._began
         if spent >= FIRST and self._due <= share < 1:
             left = about(spent * (1 - share) / share)
