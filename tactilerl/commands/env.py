@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import gymnasium as gym
 
 from ..envs import scenes, scripted, sensors, tasks, vector
-from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.grasp import GraspEnv
 from ..errors import input_errors
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
@@ -92,31 +92,16 @@ def _content(name: str, env: GraspEnv) -> dict[str, Any]:
             f"{key} {part.shape}" for key, part in spaces.items()
         ),
         "taxels": len(env.taxels),
-        **_sensor(scene),
         "notes": layout_notes(name, scene.layout) + sensor_notes(name, scene),
         "action": env.hand.action_names,
         "observation": env.observation_names(),
     }
 
 
-def _sensor(scene: GraspConfig) -> dict[str, str]:
-    """Return the numbers that a sensor brings, by the names of their flags, where there is one."""
-    if not scene.sensor or scene.touch != "on":
-        return {}
-    numbers = [
-        f"{field.name} {getattr(scene, field.name)}"
-        for field in fields(scene)
-        if field.name.startswith("taxel_")
-        and getattr(scene, field.name) != field.default
-    ]
-    return {"sensor": ", ".join([scene.sensor, *numbers])}
-
-
 def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) -> None:
     """Print the content in lines, all entries of action and observation if `everything`."""
-    for key in ("env", "task", "action_space", "observation_space", "taxels", "sensor"):
-        if key in content:
-            print(f"{key}: {content[key]}")
+    for key in ("env", "task", "action_space", "observation_space", "taxels"):
+        print(f"{key}: {content[key]}")
     for note in content["notes"]:
         print(f"note: {note}")
     for key in ("action", "observation") if everything else ():

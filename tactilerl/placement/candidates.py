@@ -388,7 +388,7 @@ class Pool:
     prices: Prices | None = None
     """None where the sensor's file says none."""
     overlap: Array | None = None
-    """(n, n) bool: which two do not fit beside each other? None where nobody said how large they are."""
+    """(n, n) bool: which two do not fit beside each other? None where nobody said their radius."""
     early: tuple[str, ...] = ()
     """Names of candidates that were left out."""
 

@@ -164,12 +164,9 @@ class RunDir:
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
-        now = machine.origin(epoch, env_steps)
-        if batch:
-            now["batch"] = batch
-        same = {name: now[name] for name in now if name not in ("epoch", "env_steps")}
-        if not origins or not origins[-1].items() >= same.items():
-            origins.append(now)
+        made_with = machine.origin() | ({"batch": batch} if batch else {})
+        if not origins or not origins[-1].items() >= made_with.items():
+            origins.append({"epoch": epoch, "env_steps": env_steps, **made_with})
         digest, env, copy = config.hand, config.run.env, self.path / HAND_COPY
         if not digest and config.scene and env not in hands.HANDS:  # it begins
             with replacing(copy) as file:

@@ -86,18 +86,6 @@ class TestReflexes:
         assert came < went + 3 <= came + env.task.stays + 2
         assert all(is_closed[went:])
 
-    @pytest.mark.slow
-    def test_a_longer_squeeze_tells_more(self):
-        env = envs.make(scene="handover", touch="absent")
-        starts = range(10_000, 10_020)
-        shortest, longest = min(reflexes.SQUEEZES), max(reflexes.SQUEEZES)
-        won = {
-            squeeze: sum(Reflex("active", 0.04, 1.0, squeeze).play(env, start) for start in starts)
-            for squeeze in (shortest, longest)
-        }
-        assert won[shortest] <= 5
-        assert won[longest] >= 9
-
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
         steps = won(Reflex("touch", 1, 1.0), env, 2)
