@@ -8,7 +8,7 @@ from typing import Annotated
 
 from rich.table import Table
 
-from ..envs import tasks, validation
+from ..envs import validation
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
 from ..scripted import gate
@@ -64,8 +64,7 @@ def main(args: list[str]) -> int:
         for variant in variants:
             validation.validate(variant)
             layout_notes(read.env, variant.layout)  # raises what is wrong with it
-        if tasks.TASKS[scene.task].giver is None:
-            require_grasp(read.env, scene)
+        require_grasp(read.env, scene)
         warn([note for one in variants for note in sensor_notes(read.env, one)])
     total = gate.n_compared(variants, read.starts, read.search)
     tick = Progress(f"playing scripted hands, {total} episodes", total)

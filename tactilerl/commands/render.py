@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..envs import tasks
 from ..envs.grasp import setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
@@ -83,7 +82,7 @@ def main(args: list[str]) -> int:
     require_new(read.out, read.overwrite, ".png")
     with input_errors():
         notes = layout_notes(read.env, scene.layout)
-        if read.pose == "grasp" and tasks.TASKS[scene.task].giver is None:
+        if read.pose == "grasp":
             require_grasp(read.env, scene)
         lit = render.picture(read.env, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")

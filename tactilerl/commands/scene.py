@@ -105,11 +105,11 @@ def layout_notes(name: str, layout: str) -> list[str]:
 
 
 def require_grasp(name: str, scene: GraspConfig) -> None:
-    """Search for a grasp of the hand and keep it, unless its file has one or one is kept beside it.
+    """Search for a grasp of the hand and keep it, unless it has one, or what it takes is handed over.
 
     Raise ValueError where none holds.
     """
-    if hands.get(name).grasps:
+    if hands.get(name).grasps or tasks.TASKS[scene.task].giver is not None:
         return
     best = find_grasp(name, scene)
     if best is None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -118,15 +117,8 @@ class RunConfig:
     def place(self) -> tuple[str, GraspConfig | None]:
         """The environment's name or its hand, and the scene, with the run's own copies of files.
 
-        InputError when that would import a module that nobody has asked for, or the files of its
-        hand have gone or changed.
+        InputError when the files of its hand have gone or changed.
         """
-        module, colon, _ = self.run.env.partition(":")
-        if colon and module not in sys.modules:  # the folder may be somebody else's
-            raise InputError(
-                f"env: found {self.run.env!r}, of the module {module}; if you trust it, give "
-                f"--import {module}"
-            )
         env, scene = self.run.env, self.scene
         if self.hand:
             env = self._copy(HAND_COPY, env)

@@ -28,8 +28,8 @@ from .. import machine
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.policy import Spaces, action_bounds
-from ..envs import hands, layouts, plugins, validation
-from ..errors import InputError, input_errors
+from ..envs import hands, layouts, validation
+from ..errors import InputError
 from ..files import (
     as_json,
     damage_named,
@@ -351,13 +351,8 @@ def resolve(
 ) -> RunConfig:
     """Return the configuration before other choices: defaults, or that of the run in `resume`.
 
-    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene or
-    a recipe is named as well.
+    Raise InputError where `resume` holds no run, or a scene or a recipe is named as well.
     """
-    module, colon, _ = str(env).partition(":")
-    if colon:
-        with input_errors("env"):
-            plugins.import_modules([module])
     if not resume:
         return defaults(algo, env, recipe, scene)
     for name, value in {"scene": scene, "recipe": recipe}.items():

@@ -182,30 +182,6 @@ class TestLock:
         assert main(more) == 0
 
 
-class TestModules:
-    @pytest.fixture
-    def foreign(self, monkeypatch):
-        """A run in an environment of somebody's module, which is not imported yet."""
-        Path("theirs.py").write_text(
-            "import gymnasium\nfrom tactilerl.envs.toy import LQREnv\n"
-            "gymnasium.register('Id-v0', entry_point=LQREnv)\n"
-        )
-        monkeypatch.setattr(sys, "path", [*sys.path])
-        monkeypatch.setattr(plugins, "imported", [])
-        args = [*PPO, "--total-timesteps", "60", "--out", "run"]
-        args[args.index("lqr")] = "theirs:Id-v0"
-        monkeypatch.delitem(sys.modules, "theirs", raising=False)
-        assert main(args) == 0
-        monkeypatch.delitem(sys.modules, "theirs")
-        plugins.imported.clear()
-
-    @pytest.mark.parametrize("args", [["evaluate", "run", "--episodes", "1"], RESUME])
-    def test_a_module_of_a_saved_run_is_imported_only_when_asked_for(self, foreign, capsys, args):
-        fails_with(capsys, args, "of the module theirs", "give --import theirs")
-        assert "theirs" not in sys.modules
-        assert main([*args, "--import", "theirs"]) == 0
-
-
 class TestConfig:
     @pytest.mark.parametrize(
         ("part", "name", "value", "words"),
@@ -280,7 +256,7 @@ class TestTerminal:
         monkeypatch.setattr(RunDir, "append", append)
         assert main([*PPO, "--env", "cut:Cut-v0", "--total-timesteps", "240", "--out", "new"]) == 130
         assert capsys.readouterr().err == (
-            "tactilerl: interrupted; the last checkpoint is kept: --resume new --import cut\n"
+            "tactilerl: interrupted; the last checkpoint is kept: --resume new\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
