@@ -51,7 +51,7 @@ def main(args: list[str]) -> int:
     read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
     with input_errors():
         if read.fit_sensor:
-            from ..scripted.fit_sensor import fit  # imports SciPy's statistics
+            from ..scripted.fit_sensor import fit  # imports SciPy
 
             print(fit(read.fit_sensor), end="")
             return 0

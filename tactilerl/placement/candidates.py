@@ -255,9 +255,8 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
     """
     surfaces = [hand.surfaces[index] for index in taxels.surfaces.tolist()]
     digits = ["palm" if s.segment == "palm" else s.digit for s in surfaces]
-    segments = [
-        "palm" if s.segment == "palm" else f"{s.digit}.{s.segment}" for s in surfaces
-    ]
+    on = zip(digits, surfaces, strict=True)
+    segments = ["palm" if d == "palm" else f"{d}.{s.segment}" for d, s in on]
     parts = {"taxel": list(taxels.names), "digit": digits, "segment": segments}
     if kind in parts:
         names = tuple(dict.fromkeys(parts[kind]))
@@ -434,6 +433,12 @@ class Pool:
         """Ways to wait: shares by which the hand is closed."""
         first = next(iter(self.scenes.values()))
         return self.flags.start_closing or (first.start_closing,)
+
+    @property
+    def to_survive(self) -> Array:
+        """(g, m) bool: the losses after which a choice is to succeed; none where nobody asked."""
+        members = self.losses.members
+        return members if self.flags.survives else members[:0]
 
     @property
     def whole(self) -> list[int]:

@@ -88,12 +88,9 @@ class Judge:
 
     def wait(self, taxels: Sequence[int]) -> float:
         """Return how far a hand with these taxels is closed while it waits."""
-        members = self.pool.losses.members
-        losses = members if self.pool.flags.survives else members[:0]
-        return max(
-            self.choice,
-            key=lambda wait: cover.score(self.choice[wait], taxels, losses),
-        )
+        losses = self.pool.to_survive
+        scores = {w: cover.score(x, taxels, losses) for w, x in self.choice.items()}
+        return max(scores, key=lambda wait: scores[wait])
 
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
         """Return success, with its interval, share felt, and success after the worst loss.
@@ -344,9 +341,7 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
     room for as many taxels as are asked for.
     """
     size, n_existing = len(pool.free), len(pool.existing)
-    losses = pool.losses.members[:, :size]
-    if not pool.flags.survives:
-        losses = losses[:0]
+    losses = pool.to_survive[:, :size]
     picks = []
     for n, boards in pool.sizes():
         fits = partial(pool.fits, boards)

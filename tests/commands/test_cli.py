@@ -281,7 +281,7 @@ class TestBadInput:
             (["render", "--azimuth", "nan"], ["azimuth: found nan, allowed [-360, 360]"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
             (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
-            (["train", "--env", "../x:Id"], ["'../x:Id' cannot be made here"]),
+            (["train", "--env", "../x:Id"], ["found '../x', which cannot be imported"]),
             ([*TOY, "--seed", "9" * 5000], ["seed"]),
             ([*TOY, "--out", "x" * 300], ["name too long"]),
             (["train", "--out", "a\0b"], ["out: found", "allowed a string"]),

@@ -256,7 +256,7 @@ class TestTerminal:
         monkeypatch.setattr(RunDir, "append", append)
         assert main([*PPO, "--env", "cut:Cut-v0", "--total-timesteps", "240", "--out", "new"]) == 130
         assert capsys.readouterr().err == (
-            "tactilerl: interrupted; the last checkpoint is kept: --resume new\n"
+            "tactilerl: interrupted; the last checkpoint is kept: --resume new --import cut\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
