@@ -192,7 +192,11 @@ class RunDir:
         """Return what config.json holds; InputError when damaged."""
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(json.loads(self.config_file.read_bytes()))
+            data: Values = json.loads(self.config_file.read_bytes())
+            if data["format"] != FORMAT:
+                allowed = f"{FORMAT}; this version reads runs of 0.5.0 on"
+                raise ValueError(f"format: found {data['format']}, allowed {allowed}")
+            return data
 
     # -- progress.csv ------------------------------------------------------------------------
 
@@ -260,13 +264,6 @@ def _hand_file(path: Path) -> bytes:
         r"""(?m)^\s*(["']?)model\1\s*=.*$""", lambda _: f"model = {line}", text, count=1
     )
     return text.encode()
-
-
-def as_record(data: Any) -> Values:
-    """Return the values of a config.json; ValueError where it is an older version's."""
-    if data["format"] != FORMAT:
-        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
-    return dict(data)
 
 
 def parse(text: str) -> list[Row]:

@@ -172,7 +172,12 @@ def epochs(learner: Learner, epoch: int) -> Iterator[Row]:
     """Learn until `total_timesteps`, from after `epoch` on; yield each epoch's row of the table."""
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        yield {"epoch": epoch, **_epoch(learner)}
+        begin, before = time.perf_counter(), learner.env_steps
+        played = cycles(learner, lambda: learner.env_steps < learner.total_timesteps)
+        test = learner.test()
+        speed = (learner.env_steps - before) / (time.perf_counter() - begin)
+        row = {"epoch": epoch, "env_steps": learner.env_steps}
+        yield row | table_row(*played, test, speed)
 
 
 def _final_test(learner: Learner, n: int) -> float | str:
@@ -184,15 +189,6 @@ def _final_test(learner: Learner, n: int) -> float | str:
         return ""
     played = learner.workers.play(evaluation.task(learner.policy()), range(n))
     return float(np.mean([episode.success for episode in played]))
-
-
-def _epoch(learner: Learner) -> Row:
-    """Play one epoch and learn from it, then test; return its row of the progress table."""
-    begin, before = time.perf_counter(), learner.env_steps
-    played = cycles(learner, lambda: learner.env_steps < learner.total_timesteps)
-    test = learner.test()
-    speed = (learner.env_steps - before) / (time.perf_counter() - begin)
-    return {"env_steps": learner.env_steps, **table_row(*played, test, speed)}
 
 
 def cycles(
