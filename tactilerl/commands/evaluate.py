@@ -50,7 +50,8 @@ class _CommandFlags:
     touch: Literal["on", "off"] | None = None
     """Touch for the policy: on, as in training, or off (all taxels read zero); default: the run's."""
     json: bool = False
-    """Print JSON instead of a table, with what became of each episode."""
+    """Print JSON instead of a table, with what became of each episode: `render RUN --episode N` films
+    it."""
     record: Path | None = None
     """CSV file for every step of the episodes: what was observed, done and earned, in named columns."""
     overwrite: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +26,9 @@ Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: r
 examples:
   tactilerl render --env shadow --layout 1
   tactilerl render runs/X --video film.mp4
+  tactilerl render runs/X --episode 17
   tactilerl render runs/X"""
-RUN_FLAGS = "video", "episodes"
+RUN_FLAGS = "video", "episodes", "episode"
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 VERDICTS = {True: "success", False: "no success"}
 
@@ -43,6 +45,9 @@ class RenderFlags:
     episodes.mp4 elsewhere, and of several runs."""
     episodes: Annotated[int, "[1, inf)"] = 3
     """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2 s."""
+    episode: Annotated[int, "[0, inf)"] | None = None
+    """Only this episode, by its number in `evaluate RUN --json`, as that plays it: with the whole hold
+    test."""
     env: str = "shadow"
     """The hand in the picture."""
     out: Path = Path("grasp.png")
@@ -61,6 +66,16 @@ class RenderFlags:
         """The camera that these flags place."""
         return Camera(self.azimuth, self.elevation)
 
+    @property
+    def numbers(self) -> Sequence[int]:
+        """The episodes to show, by their numbers."""
+        return range(self.episodes) if self.episode is None else [self.episode]
+
+    @property
+    def hold_seconds(self) -> float | None:
+        """Length of hold tests, s; None for that of the run."""
+        return render.HOLD_SECONDS if self.episode is None else None
+
 
 def main(args: list[str]) -> int:
     """Run `tactilerl render` (a scripted grasp with its taxels) or `tactilerl render RUN` (a run)."""
@@ -75,7 +90,7 @@ def main(args: list[str]) -> int:
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
         with input_errors():
             if read.video is None and len(read.run) == 1 and has_screen:
-                _watch(read.run[0], read.episodes)
+                _watch(read)
             else:
                 _film(read)
         return 0
@@ -91,19 +106,19 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _watch(run: Path, n_episodes: int) -> None:
+def _watch(read: RenderFlags) -> None:
     """Play a run's policy in a window."""
-    env, play = render.staged(run, "human")
+    env, play = render.staged(read.run[0], read.hold_seconds, "human")
     with closing(env):
-        for number in range(n_episodes):
-            console.print(f"{run}: {VERDICTS[play(number)]}")
+        for number in read.numbers:
+            console.print(f"{read.run[0]}: {VERDICTS[play(number)]}")
 
 
 def _film(read: RenderFlags) -> None:
     """Film runs' policies."""
-    video = read.video or Path("episodes.mp4")
+    video, seconds = read.video or Path("episodes.mp4"), read.hold_seconds
     require_new(video, read.overwrite, ".mp4")
-    for successes in render.film(read.run, read.episodes, read.camera, video):
-        verdicts = ", ".join(VERDICTS[success] for success in successes)
-        tests = f"(hold tests of {render.HOLD_SECONDS:g} s)"
-        console.print(f"{video}: {verdicts} {tests}")
+    tests = f" (hold tests of {seconds:g} s)" if seconds else ""
+    for each in render.film(read.run, read.numbers, seconds, read.camera, video):
+        verdicts = ", ".join(VERDICTS[success] for success in each)
+        console.print(f"{video}: {verdicts}{tests}")

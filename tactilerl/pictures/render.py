@@ -95,11 +95,13 @@ class _Artist:
         return np.hstack([image, self._map.picture(felt > 0)])
 
 
-def staged(run: Path, render_mode: str) -> tuple[GraspEnv, Callable[[int], bool]]:
+def staged(
+    run: Path, hold_seconds: float | None, render_mode: str
+) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's scene, and a function that plays its policy there and returns its success.
 
-    The scene has hold tests of `HOLD_SECONDS`; the function takes the number of a start. Raise
-    InputError where the run is not of a grasping scene.
+    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start.
+    Raise InputError where the run is not of a grasping scene.
     """
     import torch
 
@@ -110,8 +112,10 @@ def staged(run: Path, render_mode: str) -> tuple[GraspEnv, Callable[[int], bool]
         raise InputError(
             f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
         )
-    scene = replace(config.scene, hold_seconds=HOLD_SECONDS)
-    env: GraspEnv = replace(config, scene=scene).make_env(render_mode=render_mode)
+    if hold_seconds is not None:
+        scene = replace(config.scene, hold_seconds=hold_seconds)
+        config = replace(config, scene=scene)
+    env: GraspEnv = config.make_env(render_mode=render_mode)
     task = evaluation.task(policy)
 
     def play(number: int) -> bool:
@@ -124,8 +128,8 @@ def staged(run: Path, render_mode: str) -> tuple[GraspEnv, Callable[[int], bool]
 class _Player:
     """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
-    def __init__(self, run: Path, camera: Camera) -> None:
-        self.env, self._play = staged(run, "rgb_array")
+    def __init__(self, run: Path, hold_seconds: float | None, camera: Camera) -> None:
+        self.env, self._play = staged(run, hold_seconds, "rgb_array")
         timestep = self.env.config.timestep
         self._every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (self._every * timestep)
@@ -165,25 +169,30 @@ class _Player:
 
 
 def film(
-    runs: Sequence[Path], n_episodes: int, camera: Camera, out: Path
+    runs: Sequence[Path],
+    numbers: Sequence[int],
+    hold_seconds: float | None,
+    camera: Camera,
+    out: Path,
 ) -> Iterator[list[bool]]:
     """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
-    Yield the success of each, episode by episode, with hold tests of `HOLD_SECONDS`. The camera
-    follows the hand. InputError when a run's environment is not a grasping one.
+    Yield the success of each, episode by episode, those of `numbers`. A hold test is as long as
+    `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand.
+    InputError when a run's environment is not a grasping one.
     """
     with extra("render"):
         import imageio.v2 as imageio
     distance = FARTHER * camera.distance
     camera = replace(camera, distance=distance, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
-        players = [_Player(run, camera) for run in runs]
+        players = [_Player(run, hold_seconds, camera) for run in runs]
         for player in players:
             opened.callback(player.env.close)
         fps = players[0].fps
         writer: Any = imageio.get_writer(out, fps=fps, macro_block_size=2)
         opened.enter_context(writer)
-        for number in range(n_episodes):
+        for number in numbers:
             played = [player.film(number) for player in players]
             films, successes = zip(*played, strict=True)
             for i in range(max(map(len, films))):  # a shorter film waits at its end

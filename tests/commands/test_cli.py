@@ -20,7 +20,8 @@ from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import plugins
-from tactilerl.runs import evaluation, policies, store
+from tactilerl.pictures import render as pictures
+from tactilerl.runs import evaluation, store
 
 from one_line import fails_with, printed, python
 from states import TIMES, flat
@@ -277,7 +278,8 @@ class TestBadInput:
             (["render", "--out", "no/x.png"], ["found no folder 'no'"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
             (["render", "none", "--pose", "start"], ["pose: allowed only without a run folder"]),
-            (["render", "none", "--episodes", "0"], ["episodes: found 0"]),
+            (["render", "none", "--episode", "-1"], ["episode: found -1"]),
+            (["render", "--episode", "1"], ["episode: allowed only with a run folder"]),
             (["render", "--azimuth", "nan"], ["azimuth: found nan, allowed [-360, 360]"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
             (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
@@ -420,18 +422,20 @@ class TestOtherCommands:
         assert np.abs(touch[0, head:-200] - blind[0, head:-200]).mean() < 3
         assert np.abs(touch[0, :head] - blind[0, :head]).mean() > 1
         # Without a screen one run is filmed as well.
-        out = render(capsys, "a", *near, "--video", "y.mp4")
-        assert out == "y.mp4: no success (hold tests of 2 s)\n"
+        out = render(capsys, "a", *near[:2], "--episode", "7", "--video", "y.mp4")
+        assert out == "y.mp4: no success\n"
 
     @pytest.mark.slow
-    def test_each_episode_of_an_evaluation_can_be_played_again(self, capsys):
+    def test_each_episode_of_an_evaluation_can_be_played_again_and_filmed(self, capsys):
         run, n = str(POLICIES / "handover_no_touch"), 6
         told = json.loads(printed(capsys, ["evaluate", run, "--episodes", n, "--json"]))
         each = told["each"]
         assert [row["episode"] for row in each] == list(range(n))
         assert np.mean([row["return"] for row in each]) == pytest.approx(told["mean_return"])
-        assert {row["success"] for row in each} == {0.0, 1.0}
-        with closing(policies.read_run(Path(run)).config.make_env()) as env:
+        env, play = pictures.staged(Path(run), None, "rgb_array")  # as films do
+        with closing(env):
+            assert {row["success"] for row in each} == {0.0, 1.0}
+            assert [play(row["episode"]) for row in each] == [row["success"] == 1.0 for row in each]
             policy, row = tactilerl.load_policy(run), each[0]
             (obs, _), returned, is_over = env.reset(seed=row["seed"]), 0.0, False
             while not is_over:

@@ -136,7 +136,7 @@ def test_a_record_has_every_step_in_named_columns(name, made, capsys):
     ("args", "words"),
     [
         (["export", HANDOVER, "--out", "x.pb"], ["found 'x.pb'", ".onnx"]),
-        (["export", HANDOVER, "--out", "no/x.onnx"], ["no/x.onnx"]),
+        (["export", HANDOVER, "--out", "no/x.onnx"], ["found no folder 'no'"]),
         (["export", "nowhere", "--out", "x.onnx"], ["'nowhere' is not a run folder"]),
         (["export", "begun", "--out", "x.onnx"], ["checkpoint.pt: missing"]),
         (["export", "toy", "--out", "x.onnx"], ["LQREnv", "allowed runs of hands"]),
