@@ -25,12 +25,13 @@ from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, STYLE
 
 from benchmarks.command import DATA, DOCS, no_flags
-from benchmarks.studies import layouts_study, setups_study, study_tables
+from benchmarks.studies import layouts_study, study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DATA / "chosen/anywhere_4.toml")
 GRASPS = [("shadow", "mujoco"), ("mpl", "mujoco"), ("mpl", "pybullet"), ("allegro", "mujoco")]
 # Collected study: its set-ups whose curves are drawn, and the pictures.
 STUDIES = {
+    "handover": {"handover": "study"},
     "learners": {"ppo": "learning_shadow_ppo"},
     "paper": {"mujoco": "paper_mujoco", "pybullet": "paper_pybullet"},
 }
@@ -97,9 +98,8 @@ def main() -> None:
         grasps()
         for name in ("handover", "handover_fingers"):
             handover(name)
-        study_tables.draw(IMAGES)
-        setups_study.draw(IMAGES)
+        save(study_tables.picture(), "study_layouts")
         if (DATA / "layouts.tar.gz").is_file():  # once it has been run
-            layouts_study.draw(IMAGES)
+            save(layouts_study.picture(), "layouts_study")
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

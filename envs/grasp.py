@@ -251,7 +251,7 @@ class GraspEnv(gym.Env[Any, Array]):
             surface
             for surface in self.hand.surfaces
             if surface.segment == "palm"
-            and surface.digit not in self.hand.handed_beside
+            and surface.digit not in self.hand.file.handed_beside
         ]
         positions, rotations = self.state.poses(tuple(surface.link for surface in palm))
         centres = np.array([surface.centre for surface in palm])[:, :, None]

@@ -406,7 +406,6 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
         raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
     points = [taxel_files.point(table, i) for i, table in enumerate(file.taxel, 1)]
     points += taxel_files.mounted(file.sensor, path.parent)
-    require_distinct(points)
     patches = tuple(table.patch() for table in file.patch)
     return Layout(path.stem, file.description, patches, tuple(points), file.partial)
 

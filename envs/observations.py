@@ -136,7 +136,7 @@ class Term(NamedTuple):
 
 
 def _first_joints(hand: Hand, state: State) -> Array:
-    first = [hand.joints.index(joint) for joint in hand.first_joints]
+    first = [hand.joints.index(joint) for joint in hand.file.first_joints]
     return state.joint_positions[..., first]
 
 
@@ -154,7 +154,9 @@ TERMS = {
         lambda _, state: 0.0 * state.palm[..., :1] + KINDS.index(state.shape.kind),
     ),
     "hand_position": Term("hand", lambda _: "xyz", lambda _, state: state.palm),
-    "finger_joints": Term("position of", attrgetter("first_joints"), _first_joints),
+    "finger_joints": Term(
+        "position of", attrgetter("file.first_joints"), _first_joints
+    ),
     "joint_positions": Term(
         "position of", attrgetter("joints"), lambda _, state: state.joint_positions
     ),
@@ -436,12 +438,12 @@ class Observer:
         is the shape of the scene's first object.
         """
         where = f"hand {hand.name}: observation"
-        for term in hand.observation:
+        for term in hand.file.observation:
             require_one_of(TERMS, term, where)
-        if not hand.observation:
+        if not hand.file.observation:
             raise ValueError(f"{where}: found none, allowed: {', '.join(TERMS)}")
         self.hand = hand
-        named = [*hand.observation, *["targets"] * config.observe_targets]
+        named = [*hand.file.observation, *["targets"] * config.observe_targets]
         self._terms = {name: TERMS[name] for name in named} | dict(terms)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)

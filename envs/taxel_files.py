@@ -67,9 +67,7 @@ def point(data: Any, number: int) -> Point:
         if abs(length - 1.0) > 1e-9:
             normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
-    return Point(
-        table.link, table.position, normal, table.radius, name, table.threshold_N
-    )
+    return Point(**vars(table) | {"normal": normal, "name": name})
 
 
 def require_distinct(points: Sequence[Point]) -> None:
@@ -94,17 +92,13 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         text = read_text(path, "taxel file")
         try:
             tables = list(READERS[path.suffix](text))
-        except (LookupError, TypeError, AttributeError) as error:
-            kind = type(error).__name__
-            raise ValueError(
-                f"found another form ({kind}: {error}), expected {FORMS[path.suffix]}"
-            ) from None
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            found, form = f"{type(error).__name__}: {error}", FORMS[path.suffix]
+            raise ValueError(f"found another form ({found}), expected {form}") from None
         if not tables:
             raise ValueError("found no taxel")
         on_link = {} if link is None else {"link": link}
-        points = tuple(point(table | on_link, i) for i, table in enumerate(tables, 1))
-        require_distinct(points)
-        return points
+        return tuple(point(table | on_link, i) for i, table in enumerate(tables, 1))
 
 
 def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
@@ -112,22 +106,20 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
 
     Raise ValueError naming what is wrong, and FileNotFoundError.
     """
-    seen = Counter[str]()
+    numbers = Counter[str]()
     for sensor in sensors:
-        file = Path(sensor.file)
-        seen[file.stem] += 1
-        n_alike = seen[file.stem]
-        stem = file.stem if n_alike == 1 else f"{file.stem} {n_alike}"
         turn = Rotation.from_quat(sensor.quaternion, scalar_first=True).as_matrix()
         for link in sensor.links:
-            for i, each in enumerate(read(folder / file, link), 1):
+            name = f"{link}.{Path(sensor.file).stem}"
+            for each in read(folder / sensor.file, link):
+                numbers[name] += 1
                 position = np.array(sensor.position) + turn @ each.position
                 yield Point(
                     link,
                     tuple(position.tolist()),
                     tuple((turn @ each.normal).tolist()) if each.normal else (),
                     sensor.radius or each.radius,
-                    f"{link}.{stem}[{i}]",
+                    f"{name}[{numbers[name]}]",
                     sensor.threshold_N,
                 )
 
@@ -154,25 +146,17 @@ def _read_csv(text: str) -> Tables:
 
     There is a heading. Of its columns only x, y and z must be there, and others are left out.
     """
-    heading, *rows = csv.reader(text.splitlines(), skipinitialspace=True)
-    names = [name.strip() for name in heading]
-    if not {"x", "y", "z"} <= {*names}:
-        raise ValueError(
-            f"found the columns {', '.join(names)}, expected {FORMS['.csv']}"
-        )
-    for line, row in enumerate(rows, 2):
-        cells = {name: text for name, text in zip(names, row, strict=False) if text}
+    rows = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    for row in rows:
+        cells = {name.strip(): cell for name, cell in row.items() if name and cell}
         table: dict[str, Any] = {
             name: cells[name] for name in ("link", "name") if name in cells
         }
-        try:
-            table["position"] = [float(cells[name]) for name in ("x", "y", "z")]
-            if "nx" in cells:
-                table["normal"] = [float(cells[name]) for name in ("nx", "ny", "nz")]
-            if "radius" in cells:
-                table["radius"] = float(cells["radius"])
-        except (KeyError, ValueError):
-            raise ValueError(f"line {line}: found {row}, expected numbers") from None
+        table["position"] = [float(cells[name]) for name in ("x", "y", "z")]
+        if "nx" in cells:
+            table["normal"] = [float(cells[name]) for name in ("nx", "ny", "nz")]
+        if "radius" in cells:
+            table["radius"] = float(cells["radius"])
         yield table
 
 

@@ -204,7 +204,6 @@ def _skin(
     if surface.bone is None:  # a cap that stands `SKIN` proud of a disc
         sphere = (radius**2 + SKIN**2) / (2 * SKIN)
         return (position - (sphere - SKIN) * normal)[None], sphere
-    assert surface.radius is not None
     begin, end = np.array(surface.bone)
     spacing = 2 * math.sqrt(2 * surface.radius * BONE_TOLERANCE)
     shares = np.linspace(0.0, 1.0, math.ceil(np.linalg.norm(end - begin) / spacing) + 1)

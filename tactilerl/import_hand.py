@@ -36,15 +36,12 @@ WORDS = {
 }
 MAX_LINKS = 4  # of a digit, counted from its tip
 MAX_WRIST_JOINTS = 2  # joints outside of a hand that are no arm
-LARGEST_MOUNT = 0.4  # m from the palm: what reaches further is no part of a hand
-AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
 STEP = 0.01  # rad or m, by which a joint goes to see what it turns
 TRIAL_ANGLE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
 MIN_APPROACH = 5e-3  # m by which a tip comes nearer to others when a joint closes
 N_STEPS = 20  # of a digit's way to its closed end
 IN_PALM, IN_FINGER = 2e-3, 8e-3
 """m that fingers may be in the palm, and in each other, before they stop."""
-MIN_CLOSING = 0.4  # share of their way that fingers go in any case beside a thumb
 MAX_THUMB_COSINE = (
     0.5  # cosine by which a thumb goes another way than the other digits do
 )
@@ -75,8 +72,8 @@ class Guess:
         empty = {"palm": "", "digits": {}, "drop": []}
         self.keys: dict[str, Any] = {"model": model, **empty, **unknown, **known}
         if self.keys.pop("servos", None):
-            self.keys["drop"] += [actuator.name for actuator in self._spec().actuators]
-        spec = self._spec()
+            self.keys["drop"] += [servo.name for servo in self._parts().raw.actuators]
+        spec = self._parts().raw
         self.keys["palm"] = self.keys["palm"] or _palm_of(spec)
         bodies = [body.name for body in spec.bodies]
         validation.require_one_of(bodies, self.keys["palm"], "palm")
@@ -84,32 +81,12 @@ class Guess:
         if len(spec.joints) - _n_joints(root) > MAX_WRIST_JOINTS:
             self.keys["root"] = root.name
         self.parts = self._parts()
-        if self._is_on_a_stand():
-            self.keys["root"] = root.name
-            self.parts = self._parts()
         self.frame = self.parts.palm_frame
         self.chains = chains_of(self.parts, self.frame.link)
 
     def _parts(self) -> Parts:
         """Return the parts of a hand of which only the keys so far are known."""
         return Parts(validation.fill(HandFile, self.keys), self.folder)
-
-    def _spec(self) -> mujoco.MjSpec:
-        parts = self._parts()
-        return mount.cleaned(parts.path, parts.file, visual=False)
-
-    def _is_on_a_stand(self) -> bool:
-        """Return whether the palm is part of, or hangs on, what is too large for a hand."""
-        frame, model = self.parts.palm_frame, self.parts.model
-        data = posed(model, {})
-        palm = placed(data, frame.link, frame.place)
-        away = [
-            np.linalg.norm(placed(data, link, point) - palm)
-            for link in mount.chain(self.parts.spec.body(frame.link))
-            for geom in geoms_of(model, link)
-            for point in geom.points
-        ]
-        return bool(max(away, default=0.0) > LARGEST_MOUNT)
 
     # -- the digits, and where they go -------------------------------------------------------
 
@@ -306,8 +283,7 @@ class Guess:
         usual = is_deep(0.0)
         for step in range(1, N_STEPS + 1):
             if (is_deep(step / N_STEPS) & ~usual).any():
-                least = 1 / N_STEPS if self.thumb is None else MIN_CLOSING
-                return max((step - 1) / N_STEPS, least)
+                return max(step - 1, 1) / N_STEPS
         return 1.0
 
     @cached_property
@@ -501,9 +477,7 @@ def _tip(parts: Parts, link: str) -> tuple[float, ...]:
     """Return the end of a link, seen from its joint."""
     geoms = geoms_of(parts.model, link)
     points: Array = np.concatenate([geom.points for geom in geoms])
-    middle = away = _middle(points)
-    if np.linalg.norm(middle) <= AT_JOINT:
-        away = points[np.argmax(np.linalg.norm(points, axis=1))]
-    away = unit(away, link)
+    middle = _middle(points)
+    away = unit(middle, link)
     end = meet(geoms, middle, -away)
     return tuple(np.round(middle if end is None else end[0] - 1e-3 * away, 4).tolist())

@@ -1,5 +1,4 @@
-"""Shared by all tests: each hand and each simulator, what is skipped without PyBullet, one thread of
-PyTorch, MPI allowed for root, studies without processes, a MuJoCo that warns."""
+"""Shared by all tests: each hand and simulator, what is skipped without PyBullet, one thread each."""
 
 import os
 import signal
@@ -13,7 +12,6 @@ import torch
 from filelock import FileLock
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import HANDS
-from tactilerl.envs.simulators import mujoco
 from tactilerl.scripted import reflexes
 from tactilerl.study import jobs
 
@@ -26,7 +24,7 @@ os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a waiting rank yie
 # A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-scripted.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes_cli.py does
+scripted.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes.py does
 
 # The longest first, so that no core is idle at the end.
 LONG = [
@@ -76,9 +74,7 @@ def one_launch(launches):
 
 @pytest.fixture
 def trained_here(monkeypatch):
-    """Runs of a study are trained by the command that they are always trained by, but without a
-    process each, which takes seconds to start; with `--jobs 1`, because they share one output."""
-
+    """Runs of a study are trained without a process each; with `--jobs 1`: they share one output."""
     monkeypatch.setattr(jobs, "_process", in_this_process)
 
 
@@ -110,17 +106,3 @@ def simulator(request):
 def hand(request):
     """Each of the library's in turn."""
     return request.param
-
-
-@pytest.fixture
-def little_memory(monkeypatch, in_tmp):
-    """Scenes in MuJoCo that have too little memory for the constraints of a pressed object; MuJoCo
-    writes a log where it runs."""
-    build = mujoco.build_spec
-
-    def small(scene):
-        spec = build(scene)
-        spec.memory = 2**16
-        return spec
-
-    monkeypatch.setattr(mujoco, "build_spec", small)

@@ -6,6 +6,8 @@ import sys
 
 from tactilerl.commands.cli import main
 
+TOY = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
+
 
 def printed(capsys, args, code=0):
     """What a command prints that ends with this exit code."""

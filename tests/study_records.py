@@ -87,11 +87,11 @@ def write_progress(run_dir, run, rng, epochs, total):
     level += rng.normal(0, 0.05)
     with run_dir.table.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"]
-        )
+        columns = "epoch env_steps success_rate test_success_rate final_test_success_rate diverged"
+        writer.writerow([*columns.split(), "steps_per_s"])
         for epoch in range(1, epochs + 1):
             rate = level * (1 - np.exp(-epoch / 5)) + rng.normal(0, 0.03)
             rate = float(np.clip(rate, 0, 1))
             steps = round(epoch * total / epochs) + int(rng.integers(0, 20))
-            writer.writerow([epoch, steps, rate, rate, 0.0, 100.0])
+            tested = rate if epoch == epochs else ""
+            writer.writerow([epoch, steps, rate, rate, tested, 0.0, 100.0])

@@ -11,19 +11,14 @@ from tactilerl import statistics as s
 # What the sign-flip test of tactilerl 0.4.0 said of these differences, all exact.
 SIGN_FLIPS = [
     ([-0.14, 0.499], 1.0),
-    ([0.946, 0.968, 1.376], 0.25),
     ([0.756, 0.405, 0.241, 1.556, -1.751, 0.361], 0.53125),
     ([0.1, -0.1, 0.2, 0.3, -0.2, 0.4], 0.34375),  # with ties
-    ([0.533, -0.925, 0.833, -0.151, 1.362, 0.374, 1.169, 1.719, 0.883, -0.376], 0.076171875),
     ([-10, 22, 3, -1, 6, 3, 13, 5, 5, -2, 9, -5, 11, 20, -10, -19], 0.279327392578125),
-    ([0.0] * 6, 1.0),
-    ([1.0] * 3, 0.25),
 ]
 HOLM = [
     ([0.01, 0.04, 0.03], [0.03, 0.06, 0.06]),
     ([0.01, np.nan, 0.04], [0.02, np.nan, 0.04]),
     ([0.2, 0.2, 0.001, 0.6, 0.04], [0.6, 0.6, 0.005, 0.6, 0.16]),
-    ([0.5], [0.5]),
     ([], []),
 ]
 
@@ -52,7 +47,7 @@ class TestRates:
 
 
 class TestIntervals:
-    @pytest.mark.parametrize("n", [2, 3, 10, 300])
+    @pytest.mark.parametrize("n", [2, 10])
     def test_each_resample_is_averaged_as_if_it_were_written_out(self, rng, n):
         scores, counts = rng.random(n), s.resample(rng, n, 50)
         assert counts.shape == (n, 50)
@@ -95,11 +90,6 @@ class TestPValues:
         differences = rng.normal(0.4, 1, 17)
         exact = s.sign_flip_p(differences, rng, 2**16)
         assert s.sign_flip_p(differences, rng, 10_000) == pytest.approx(exact, abs=0.01)
-
-    def test_a_small_difference_shows_through_a_large_spread(self, rng):
-        level = rng.random(8)
-        better = level + 0.01 + 0.001 * rng.random(8)
-        assert s.sign_flip_p(better - level, rng) == pytest.approx(2 / 2**8)
 
     def test_holm(self):
         for p_values, corrected in HOLM:

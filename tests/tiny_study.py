@@ -69,8 +69,7 @@ def in_this_process(log_file, job):
 
 
 def learned(folder):
-    """Every table that depends on nothing but what was learned, as bytes: the same however often the
-    study was cut off, on any machine of the kind."""
+    """Every table that depends on nothing but what was learned, as bytes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(analysis, "N_RESAMPLES", 200)
         result = analysis.analyse(*records.load(folder))

@@ -146,7 +146,8 @@ def _change_bullet(stack: ExitStack, hand: str, setting: Setting) -> None:
     from tactilerl.envs.simulators import pybullet
 
     if setting.added_inertia is not None:
-        changed = replace(hands.get(hand), added_inertia=setting.added_inertia)
+        usual = hands.get(hand)
+        changed = replace(usual, file=replace(usual.file, added_inertia=setting.added_inertia))
         stack.enter_context(patch.object(hands, "get", lambda name: changed))
     stack.enter_context(patch.dict(pybullet.ENGINE, setting.options))
     constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})

@@ -9,32 +9,32 @@ without touch; its samples are runs of independent seeds, which are not compared
 from __future__ import annotations
 
 import itertools
+import re
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import scipy.stats
+from matplotlib.figure import Figure
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
 from benchmarks.command import data, markdown
-from benchmarks.studies.setups_study import concordance, drawn
-from benchmarks.studies.study_tables import DEAD, HANDS, estimate, load, part, title
+from benchmarks.studies.study_tables import drawn, estimate, load
 
 STUDY = "layouts"
 PAPERS = tuple(f"layout {i}" for i in range(1, 7))
 CHOSEN = ("4 chosen", "8 chosen")
 LAYOUTS, NONE = PAPERS + CHOSEN, "no touch"
-LEARNERS = ("ppo", "ddpg_her")
+LEARNERS, HANDS = ("ppo", "ddpg_her"), ("mpl", "shadow", "allegro")
 SETUPS = tuple(itertools.product(LEARNERS, HANDS))
 PAIRS = tuple(itertools.combinations(range(len(LAYOUTS)), 2))
 TEST, RUN = "last test", "mean over the run"
 WINDOWS = {"a fifth": (0.0, 0.2), "half": (0.3, 0.5), "all": (0.8, 1.0)}
 PREDICTORS = ("number of taxels", "area", "success at the first touch")
-MARGIN = 0.05
+MARGIN, DEAD = 0.05, 0.05
 N_RESAMPLES = 2_000
 Cells = dict[tuple[str, str], list[Array]]
 """Scores (seeds,) of each layout, then without touch, in each set-up."""
@@ -49,8 +49,22 @@ def row(record: Record) -> dict[str, object]:
         "layout": title(scene["layout"]) if scene["touch"] == "on" else NONE,
         TEST: tests[np.isfinite(tests)][-1:].mean(),
         RUN: part(record, 0.0),
-        **{name: part(record, begin, end=end) for name, (begin, end) in WINDOWS.items()},
+        **{name: part(record, begin, end) for name, (begin, end) in WINDOWS.items()},
     }
+
+
+def title(layout: str) -> str:
+    """Return the name of a layout in tables: `layout 1`, `4 chosen`."""
+    match = re.fullmatch(r"docs/data/chosen/\w+_(\d+)\.toml", layout)
+    return f"{match[1]} chosen" if match else f"layout {layout}"
+
+
+def part(record: Record, begin: float, end: float = 1.0) -> float:
+    """Return mean success between two fractions of a run's steps; a row is of those up to its own."""
+    steps, values = record.column("env_steps"), record.column("success_rate")
+    before = np.r_[0.0, steps[:-1]]
+    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
+    return float(np.average(values, weights=np.clip(until - since, 0.0, None)))
 
 
 @cache
@@ -71,7 +85,7 @@ def cells(score: str = TEST) -> Cells:
 def name_of(setup: tuple[str, str]) -> str:
     """Return a set-up as the tables call it."""
     learner, hand = setup
-    return f"{HANDS[hand]}, {style.NAMES[learner]}"
+    return f"{style.NAMES[hand]}, {style.NAMES[learner]}"
 
 
 def means(of: Cells) -> Array:
@@ -181,6 +195,19 @@ def rank_correlation(a: Array, b: Array) -> float:
     return float(scipy.stats.spearmanr(a, b).statistic)
 
 
+def concordance(values: Array) -> tuple[float, float]:
+    """Return Kendall's W of the order of layouts over set-ups, (set-ups, layouts), and its p-value."""
+
+    def w(*ranks: Array, axis: int) -> Array:
+        sums: Array = np.sum(ranks, axis=0)
+        return 12 * sums.var(axis=axis) / (len(ranks) ** 2 * (sums.shape[axis] ** 2 - 1))
+
+    ranks = scipy.stats.rankdata(values, axis=1)
+    of_orders = {"permutation_type": "pairings", "alternative": "greater", "vectorized": True}
+    test = scipy.stats.permutation_test(ranks, w, **of_orders, n_resamples=N_RESAMPLES, rng=0)
+    return float(test.statistic), float(test.pvalue)
+
+
 def show_agreement() -> None:
     """Print how far set-ups agree in the order of the layouts."""
     of, rows = cells(), []
@@ -188,15 +215,17 @@ def show_agreement() -> None:
     for name, members in {"set-ups": [*of], **groups}.items():
         if len(members) > 2:
             values = means({setup: of[setup] for setup in members})[:, :-1]
-            w, p = concordance(values, [str(setup) for setup in members])
+            w, p = concordance(values)
             rows.append((name, f"Kendall's W {w:.2f}", f"p {p_value(p)}"))
-    for hand, name in HANDS.items():
+    for hand in HANDS:
         both = {(learner, hand): of[learner, hand] for learner in LEARNERS if (learner, hand) in of}
         if len(both) == 2:
             drawn = [rank_correlation(*sample[:, :-1]) for sample in resampled(both)[0]]
             low, high = statistics.percentile_interval(np.array(drawn))
             value = Estimate(rank_correlation(*means(both)[:, :-1]), low, high)
-            rows.append((f"learners, {name}", f"rank correlation {estimate(value, '.2f')}", ""))
+            rows.append(
+                (f"learners, {style.NAMES[hand]}", f"rank correlation {estimate(value, '.2f')}", "")
+            )
     markdown("| over | agreement | test |", rows)
 
 
@@ -204,7 +233,10 @@ def show_agreement() -> None:
 
 
 def predictors(hands: list[str]) -> Array:
-    """Return what may predict a layout's score, (hands, layouts, predictors)."""
+    """Return what may predict a layout's score, (hands, layouts, predictors).
+
+    Success is of `tactilerl design --scene handover_anywhere --env HAND --taxels 1..8`.
+    """
     known = data("first_touch")
     rows = [[known[hand][layout] for layout in LAYOUTS] for hand in hands]
     return np.array([[(np.log(r["taxels"]), r["area_mm2"], r["success"]) for r in row] for row in rows])
@@ -292,7 +324,7 @@ def show_budgets() -> None:
     markdown(f"{head} rank correlation with the last test |", rows)
 
 
-def draw(folder: Path) -> None:
+def picture() -> Figure:
     """Draw the last test of each layout in each set-up, with intervals over the seeds."""
     of = cells()
     levels = {
@@ -300,9 +332,9 @@ def draw(folder: Path) -> None:
         for name, weights in zip((*LAYOUTS, NONE), np.eye(len(LAYOUTS) + 1), strict=True)
     }
     colours = *style.MORE_COLOURS[: len(PAPERS)], *style.GROUPS[:2], "0.6"
-    picture = drawn(levels, [*map(name_of, of)], colours)
-    picture.axes[0].set(xlabel="success in the last test, without noise", xlim=(0, 1))
-    picture.savefig(folder / "layouts_study.png", dpi=style.DPI, metadata={"Software": None})
+    figure = drawn(levels, [*map(name_of, of)], colours)
+    figure.axes[0].set(xlabel="success in the last test, without noise", xlim=(0, 1))
+    return figure
 
 
 TABLES = {

@@ -9,13 +9,10 @@ import itertools
 import re
 from collections.abc import Iterable, Sequence
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import analysis as study_pairs
@@ -27,8 +24,6 @@ from tactilerl.study.records import Record
 from benchmarks.command import DATA, data, interval, markdown
 
 EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
-CHOSEN = re.compile(r"docs/data/chosen/\w+_(\d+)\.toml")
-COLOURS = dict(zip(("on", "off"), style.GROUPS, strict=False))
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
     ("2", "3"): "the 15 taxels in the middle of phalanges",
@@ -46,8 +41,6 @@ PAPER = {
 }
 """Means of the paper's Tables 1 and 2 by layout: converged rate with touch, and without."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
-HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro"}
-DEAD = 0.05  # a run whose second half is below learned nothing
 
 
 @cache
@@ -63,6 +56,11 @@ def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
     return setup, runs
 
 
+def both(runs: list[Record], setup: Setup, setting: str) -> list[list[Record]]:
+    """Return the runs of treatment and control in a setting."""
+    return [study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2]]
+
+
 def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     """Return a score of each run, by group and seed; "final" is the mean over the last tenth."""
     if score != "final":
@@ -72,42 +70,18 @@ def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     return [{seed: statistics.end_rate(y, 0.1) for seed, y in of.items()} for of in rates]
 
 
-def both_groups(runs: Sequence[Record], setup: Setup, setting: str, score: str) -> list[BySeed]:
-    """Return the scores of treatment and control in a setting."""
-    groups = (study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2])
-    return study_pairs.scored(score, *groups)
-
-
-def part(record: Record, begin: float, column: str = "success_rate", end: float = 1.0) -> float:
-    """Return the mean of a column between two fractions of a run's steps, by steps.
-
-    A row is of the steps up to its own.
-    """
-    steps, values = record.column("env_steps"), record.column(column)
-    before = np.r_[0.0, steps[:-1]]
-    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
-    weights = np.clip(until - since, 0.0, None)
-    return float(np.average(values, weights=weights))
-
-
 def label(setting: str) -> str:
     """Return the name of a setting in tables: `2`, `5 of 0.3`."""
     match = EARLIER.fullmatch(setting)
     return f"{match[1]} of 0.3" if match else setting.removeprefix("layout ")
 
 
-def title(layout: str) -> str:
-    """Return the name of a layout in tables: `layout 1`, `4 chosen`."""
-    match = CHOSEN.fullmatch(layout)
-    return f"{match[1]} chosen" if match else f"layout {layout}"
-
-
 # -- the handover studies ----------------------------------------------------------------
 
 
-def group_means(name: str = "handover") -> None:
+def group_means() -> None:
     """Print what each group of runs reached."""
-    study, runs = load(name)
+    study, runs = load("handover")
     main, sighted = study.setups
     groups = {style.ROLES[group]: (main, main.settings[0], group) for group in main.groups}
     groups["no touch, but sight"] = sighted, sighted.settings[0], ""
@@ -120,9 +94,9 @@ def group_means(name: str = "handover") -> None:
     markdown("| hand | runs | mean success over the run | over its last tenth |", rows)
 
 
-def worth(name: str = "handover") -> None:
+def worth() -> None:
     """Print differences within pairs of touch and each kind of no touch."""
-    study, runs = load(name)
+    study, runs = load("handover")
     setup = study.setups[0]
     touch, *others = (study_pairs.runs_of(runs, setup, setup.settings[0], a) for a in setup.groups)
     rows = []
@@ -142,7 +116,7 @@ def layouts(name: str, setup_name: str = "") -> None:
     setup, runs = load_setup(name, setup_name)
     pairs, finals = {}, {}
     for setting in setup.settings:
-        groups = [study_pairs.runs_of(runs, setup, setting, group) for group in setup.groups[:2]]
+        groups = both(runs, setup, setting)
         pairs[setting] = paired(*groups)
         finals[setting] = scored("final", *groups)[0]
     scripted = reflexes(name)
@@ -170,9 +144,9 @@ def reflexes(scene: str) -> dict[str, float]:
     }
 
 
-def between(name: str) -> None:
+def between() -> None:
     """Print layouts with touch against each other, in pairs."""
-    setup, runs = load_setup(name)
+    setup, runs = load_setup("handover_fingers")
     by_layout = {
         label(setting): study_pairs.runs_of(runs, setup, setting, "on") for setting in setup.settings
     }
@@ -184,10 +158,10 @@ def between(name: str) -> None:
     markdown("| layouts | they differ in | pairs | difference | p, Holm |", rows)
 
 
-def trained_with(name: str = "faults", without: str = "handover") -> None:
+def trained_with() -> None:
     """Print hands that learned with faulty touch against hands with sound and with no touch."""
-    study, runs = load(name)
-    sound, sound_runs = load(without)
+    study, runs = load("faults")
+    sound, sound_runs = load("handover")
     place = sound.setups[0], sound.setups[0].settings[0]
     rows = []
     for setup in study.setups:
@@ -202,16 +176,15 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     markdown(head, rows)
 
 
-def senses(name: str = "senses") -> None:
+def senses() -> None:
     """Print what touch adds, by sight and by error of the joints."""
-    study, runs = load(name)
+    study, runs = load("senses")
     settings = study.setups[0].settings
     rows = []
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for setting in settings:
-            pairs = study_pairs.in_pairs(both_groups(runs, setup, setting, "area"))
-            row.append(estimate(pairs.difference, "+.2f"))
+            row.append(estimate(paired(*both(runs, setup, setting)).difference, "+.2f"))
         rows.append(row)
     noises = (f"joint error {setting.removeprefix('joint noise held ')} rad" for setting in settings)
     markdown(f"| sight | {' | '.join(noises)} |", rows)
@@ -220,12 +193,12 @@ def senses(name: str = "senses") -> None:
 # -- the paper's scenes ------------------------------------------------------------------
 
 
-def over_layouts(name: str) -> None:
+def over_layouts() -> None:
     """Print what touch adds in each set-up: the mean over its layouts within each seed."""
-    study, runs = load(name)
+    study, runs = load("paper")
     rows, pairs = [], []
     for setup in study.setups:
-        settings = [both_groups(runs, setup, setting, "area") for setting in setup.settings]
+        settings = [scored("area", *both(runs, setup, setting)) for setting in setup.settings]
         seeds, scores = in_common([group for groups in zip(*settings, strict=True) for group in groups])
         means = scores.reshape(2, len(settings), len(seeds)).mean(axis=1)
         pair = study_pairs.in_pairs([dict(zip(seeds, group, strict=True)) for group in means])
@@ -247,7 +220,7 @@ def converged(setup_name: str) -> None:
     rows = []
     for setting in setup.settings:
         theirs = next(rates), next(rates)
-        ours = (np.mean([*one.values()]) for one in both_groups(runs, setup, setting, "converged"))
+        ours = (np.mean([*one.values()]) for one in scored("converged", *both(runs, setup, setting)))
         rows.append((label(setting), *theirs, *(f"{rate:.2f}" for rate in ours)))
     markdown("| layout | paper: touch | no touch | ours: touch | no touch |", rows)
 
@@ -266,12 +239,15 @@ def holm(pairs: Iterable[Pairs]) -> Sequence[float]:
     return statistics.holm([pair.p_value for pair in pairs])
 
 
-def mean(values: Iterable[float], form: str = ".2f") -> str:
+def mean(values: Iterable[float]) -> str:
+    """Return a mean with its interval, as text."""
+    return estimate(average(values), ".2f")
+
+
+def average(values: Iterable[float]) -> Estimate:
     """Return a mean with its interval over runs, or over differences within pairs."""
     scores = np.array(list(values))
-    if not len(scores):
-        return ""
-    return estimate(statistics.mean(scores, study_pairs.resamples(len(scores))), form)
+    return statistics.mean(scores, study_pairs.resamples(len(scores)))
 
 
 def paired(a: list[Record], b: list[Record], score: str = "area") -> study_pairs.Pairs:
@@ -284,81 +260,48 @@ def estimate(value: Estimate | list[float], form: str) -> str:
     return interval(*value, form, " to ").replace("-", "−")
 
 
-def number(value: float, form: str) -> str:
-    """Return a number with a minus sign, as `estimate` has it."""
-    return f"{value:{form}}".replace("-", "−")
+def picture() -> Figure:
+    """Draw what each layout reaches where places decide, over the last tenth of the steps."""
+    setup, runs = load_setup("handover_fingers")
+    levels: dict[str, list[Estimate]] = {style.ROLES[group]: [] for group in setup.groups}
+    for setting in setup.settings:
+        reached_by = scored("final", *both(runs, setup, setting))
+        for of_group, reached in zip(levels.values(), reached_by, strict=True):
+            of_group.append(average(reached.values()))
+    names = [f"layout {label(setting)}" for setting in setup.settings]
+    figure = drawn(levels, names, style.GROUPS)
+    figure.axes[0].set(xlabel="success rate, last tenth of training", xlim=(0, 1))
+    figure.suptitle("Handover to the fingers: MPL hand, PPO, 30,000 steps", **style.HEAD)
+    return figure
 
 
-def draw(folder: Path) -> None:
-    """Draw learning curves where touch decides, and what each layout reaches where places decide."""
-    pictures = {
-        "study": (_curves, "handover", 3, "MPL hand in MuJoCo, PPO, layout 2, 30,000 steps"),
-        "study_layouts": (_layouts, "handover_fingers", 2, "MPL hand in MuJoCo, PPO, 30,000 steps"),
-    }
-    for name, (fill, study, columns, title) in pictures.items():
-        picture = Figure(figsize=(7, 3.5), layout="constrained")
-        fill(picture.subplots(), *load(study))
-        picture.suptitle(title, **style.HEAD)
-        picture.legend(loc="outside lower center", ncols=columns)
-        picture.savefig(folder / f"{name}.png", dpi=style.DPI, metadata={"Software": None})
+def drawn(levels: dict[str, Sequence[Estimate]], names: list[str], colours: Sequence[str]) -> Figure:
+    """Return a figure with a row for each name, and in it each level with its interval."""
+    figure = Figure(figsize=(7, 0.5 + 0.55 * len(names)), layout="constrained")
+    axes, rows = figure.subplots(), np.arange(len(names))
+    for i, (label, of_label) in enumerate(levels.items()):
+        means, low, high = np.transpose([(one.value, one.low, one.high) for one in of_label])
+        places = rows + 0.65 / len(levels) * (i - (len(levels) - 1) / 2)
+        shown: dict[str, Any] = {"fmt": "o", "ms": 5, "lw": 1.5, "color": colours[i], "label": label}
+        axes.errorbar(means, places, xerr=(means - low, high - means), **shown)
+    axes.set_yticks(rows, names)
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    figure.legend(loc="outside lower center", ncols=5)
+    return figure
 
 
-def _curves(axes: Axes, study: Study, all_runs: list[Record]) -> None:
-    """Draw every run thin, their mean thick."""
-    setup = study.setups[0]
-    for touch in setup.groups[:2]:
-        runs = [one.curve for one in study_pairs.runs_of(all_runs, setup, setup.settings[0], touch)]
-        steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
-        curves = np.array([np.interp(steps, *run) for run in runs])
-        axes.plot(steps, curves.T, color=COLOURS[touch], lw=0.8, alpha=0.6)
-        label = f"{style.ROLES[touch]}, mean of {len(runs)} runs"
-        axes.plot(steps, curves.mean(axis=0), color=COLOURS[touch], lw=2.5, label=label)
-    axes.plot([], [], color=style.INK, lw=0.8, alpha=0.7, label="a run")
-    axes.set(title="Handover to the palm", xlabel="environment steps", ylabel="success rate")
-    axes.set_ylim(0, 1.02)
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-
-
-def _layouts(axes: Axes, study: Study, all_runs: list[Record]) -> None:
-    """Draw success over the last tenth, of each run and their mean."""
-    (setup,) = study.setups
-    labels = [label(setting) for setting in setup.settings]
-    for group, (touch, aside) in enumerate(zip(setup.groups, (-0.13, 0.13), strict=True)):
-        colour, named = COLOURS[touch], style.ROLES[touch]
-        for place, setting in enumerate(setup.settings):
-            both = (study_pairs.runs_of(all_runs, setup, setting, each) for each in setup.groups)
-            rates = list(scored("final", *both)[group].values())
-            x, is_first = place + aside, place == 0
-            axes.plot(
-                [x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0, clip_on=False,
-                label=f"{named}, a run" * is_first,
-            )  # fmt: skip
-            axes.plot(
-                [x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=2.5,
-                label=f"{named}, mean" * is_first,
-            )  # fmt: skip
-    axes.set_xticks(range(len(labels)), labels)
-    axes.set(title="Handover to the fingers", xlabel="layout", ylim=(0, 1.02))
-    axes.set_ylabel("success rate, last tenth of training")
-    axes.grid(axis="x", visible=False)
-
-
-def tables(*rows: tuple[Any, ...]) -> dict[str, partial[None]]:
-    """Return what prints each table, by its name; a row is a name, a function, its arguments."""
-    return {name: partial(show, *arguments) for name, show, *arguments in rows}
-
-
-TABLES = tables(
-    ("study groups", group_means),
-    ("study worth", worth),
-    ("study fingers", layouts, "handover_fingers"),
-    ("study palm", layouts, "handover_layouts"),
-    ("study between", between, "handover_fingers"),
-    ("study senses", senses),
-    ("study trained with faults", trained_with),
-    ("paper", over_layouts, "paper"),
-    ("paper table 1", converged, "pybullet"),
-    ("paper table 2", converged, "mujoco"),
-    ("paper ddpg_her", layouts, "paper", "mujoco"),
-    ("paper ppo", layouts, "paper", "pybullet"),
-)
+TABLES = {
+    "study groups": group_means,
+    "study worth": worth,
+    "study fingers": partial(layouts, "handover_fingers"),
+    "study palm": partial(layouts, "handover_layouts"),
+    "study between": between,
+    "study senses": senses,
+    "study trained with faults": trained_with,
+    "paper": over_layouts,
+    "paper table 1": partial(converged, "pybullet"),
+    "paper table 2": partial(converged, "mujoco"),
+    "paper ddpg_her": partial(layouts, "paper", "mujoco"),
+    "paper ppo": partial(layouts, "paper", "pybullet"),
+}

@@ -2,7 +2,7 @@
 
 | file | what it has |
 |---|---|
-| `hand` | what the rest of the library knows of a hand |
+| `hand` | what the rest knows of a `Hand`, in four groups: `Model`, `Actuation`, `Geometry`, `Start` |
 | `model_file` | models as published, MJCF or URDF |
 | `mount` | what is done to a model: parts left out, links, couplings, servos |
 | `tables`, `parts` | the TOML file; what it means of the model |
@@ -100,7 +100,7 @@ def digest(name: str) -> str:
 
     Raises ValueError and OSError where they cannot be read.
     """
-    return short_digest(file(name).read_bytes(), *get(name).files)
+    return short_digest(file(name).read_bytes(), *get(name).paths)
 
 
 def get(name: str) -> Hand:
@@ -128,6 +128,5 @@ _read: dict[Path, tuple[list[Any], Hand]] = {}
 
 def _state(path: Path, hand: Hand) -> list[Any]:
     """Return what changes when a file of a hand does, or a grasp is kept beside it."""
-    files = [path, *hand.files, path.with_suffix(GRASP_SUFFIX)]
-    states = [file.stat() if file.exists() else None for file in files]
-    return [state and (state.st_size, state.st_mtime_ns) for state in states]
+    files = (path, *hand.paths, path.with_suffix(GRASP_SUFFIX))
+    return [file.exists() and file.stat().st_mtime_ns for file in files]

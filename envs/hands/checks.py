@@ -41,8 +41,8 @@ def _begun(hand: Hand, model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     for joint, position in zip(hand.joints, hand.start_positions(), strict=True):
         data.joint(joint).qpos = position
-    actuators = [int(model.actuator(name).id) for name in hand.actuators]
-    mount.hold(model, data, actuators, hand.start_targets())
+    for actuator, target in zip(hand.actuators, hand.start_targets(), strict=True):
+        data.actuator(actuator).ctrl = target
     return data
 
 

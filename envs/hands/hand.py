@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ..state import Array
 from ..validation import quoted
+from .tables import CLOSING_STEP, HandFile
 
 if TYPE_CHECKING:
     from .geometry import Geom
@@ -29,7 +30,6 @@ DIGITS = ("thumb", "index", "middle", "ring", "little")
 """Usual names of up to five digits."""
 SEGMENTS = ("proximal", "middle", "distal")
 """Names of three segments of a digit."""
-CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class Surface:
     """Unit vector towards the fingertip: the direction of a grid's rows."""
     palmar: tuple[float, float, float]
     """Unit outward normal of the palmar side."""
-    radius: float | None = None
-    """Cylinder radius in m; None for other surfaces."""
+    radius: float = 0.0
+    """Radius of the capsule that is the link's shape, m; 0 for other shapes."""
     bone: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    """Both ends of the axis of the capsule that is the link's shape, m; None for other shapes."""
+    """Both ends of its axis, m; None for other shapes."""
     geoms: tuple[Geom, ...] = ()
     """Shapes of the link, where it is neither one capsule nor flat."""
     extent: tuple[float, float] = (9e-3, 9e-3)
@@ -78,7 +78,7 @@ class Surface:
 
             if met := meet(self.geoms, above, -palmar):
                 return met
-        elif self.radius is None:
+        elif self.bone is None:
             return above, palmar
         elif abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact
             height = np.sqrt(max(0.0, self.radius**2 - column**2))
@@ -119,7 +119,7 @@ class Surface:
             from .geometry import outside
 
             return outside(self.geoms, point)
-        if self.bone is None or self.radius is None:
+        if self.bone is None:
             return self.offset(point)[2], np.array(self.palmar)
         begin, end = np.array(self.bone)
         bone = end - begin
@@ -134,7 +134,6 @@ class Surface:
         """Rows of both ends, and half the width of the link, m, from the grid's middle."""
         if self.bone is None:
             return -self.extent[0], *self.extent
-        assert self.radius is not None
         low, high = sorted(self.offset(np.array(point))[0] for point in self.bone)
         return low, high, self.radius
 
@@ -303,25 +302,51 @@ class ScriptedGrasp:
     """Joint targets by actuator name, rad or m."""
 
 
-@dataclass(frozen=True)
-class Hand:
-    """One hand, palm down above the origin of the world.
-
-    The first joints and actuators are `SLIDES`, in m, zero where the hand starts over an object no
-    wider than ``start_clearance``.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """The file and the model that a hand is made from."""
 
     name: str
+    file: HandFile
+    """The content of its file."""
     build: Callable[..., Any]
     """Function that returns the hand alone as a new mujoco.MjSpec: no ground, no object, no taxels.
 
     Its arguments are `visual`, True to keep what only pictures need, and `finger_gain`, by which the
     gain of the fingers' actuators is multiplied."""
+    paths: tuple[Path, ...]
+    """Files of its model, with what it includes and its meshes."""
+    welded: dict[str, Frame]
+    """Bodies of the model that are part of a link."""
+    notes: tuple[str, ...]
+    """Notes on what was left out or put in of its model, and what it cannot do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Actuation:
+    """Joints of a hand, and what moves them. The first joints and actuators are `SLIDES`."""
+
     joints: tuple[str, ...]
     """Joints in the order of the observation."""
     actuators: tuple[str, ...]
     """Actuators in the order of joint targets; each drives the joint of ``actuated``."""
     actuated: tuple[str, ...]
+    couplings: tuple[Coupling, ...]
+    """Couplings of joints that move with actuated ones."""
+    opened: dict[str, float]
+    """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""
+    closed: dict[str, float]
+    """Targets of the same actuators where the hand is closed, rad."""
+    groups: dict[str, tuple[str, ...]]
+    """The actuators that close together, each in one group, by what that is called."""
+    action_map: LinearAction | ClosingAction
+    action_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """The palm and the digits of a hand: where its points are, and where taxels may lie."""
+
     palm: str
     """Body whose ``palm_point`` is "the hand" in rewards."""
     palm_point: tuple[float, ...]
@@ -329,42 +354,46 @@ class Hand:
     """Body and point (m, body frame) of the tip of each digit it has."""
     surfaces: tuple[Surface, ...]
     pitch: Pitch
-    action_map: LinearAction | ClosingAction
-    action_names: tuple[str, ...]
-    couplings: tuple[Coupling, ...] = ()
-    """Couplings of joints that move with actuated ones."""
-    first_joints: tuple[str, ...] = ()
-    """The joint that stands for each digit in the observation term "finger_joints"."""
-    start: dict[str, float] = field(default_factory=dict)
-    """Joint positions at reset, rad or m; 0 for joints that it does not name."""
-    observation: tuple[str, ...] = ()
-    """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
-    start_clearance: float = 0.05
-    """Edge of the largest cube that lies free of the hand at the start, m. Over what is higher the
-    hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
-    added_inertia: float = 1e-4
-    """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
-    is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
-    grasps: tuple[ScriptedGrasp, ...] = ()
-    opened: dict[str, float] = field(default_factory=dict)
-    """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""
-    closed: dict[str, float] = field(default_factory=dict)
-    """Targets of the same actuators where the hand is closed, rad."""
-    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """The actuators that close together, each in one group, by what that is called."""
-    files: tuple[Path, ...] = ()
-    """Files of its model, with what it includes and its meshes."""
-    notes: tuple[str, ...] = ()
-    """Notes on what was left out or put in of its model, and what it cannot do."""
-    finger_length: float = 0.1
-    """Length of its longest digit, from knuckle to tip, m."""
+    sensors: Sensors
     reach: float = 0.15
     """Largest distance of its fingertips from the palm's point, m."""
-    sensors: Sensors = field(default_factory=Sensors)
-    welded: dict[str, Frame] = field(default_factory=dict)
-    """Bodies of the model that are part of a link."""
-    handed_beside: tuple[str, ...] = ()
-    """Fingers at whose bases no object is handed over: it comes to the middle of the others'."""
+
+    @property
+    def digits(self) -> tuple[str, ...]:
+        """Names of its digits."""
+        names = [s.digit for s in self.surfaces if s.segment != "palm"]
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def finger_length(self) -> float:
+        """Length of its longest digit, from knuckle to tip, m."""
+        lengths = dict.fromkeys(self.digits, 0.0)
+        for surface in self.surfaces:
+            if surface.segment != "palm":
+                low, high, _ = surface.span
+                lengths[surface.digit] += high - low
+        return max(lengths.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where a hand is at first, and how it grasps from there.
+
+    It hangs palm down above the origin of the world. Its slides, in m, are zero where it starts over an
+    object no wider than ``start_clearance``.
+    """
+
+    start: dict[str, float]
+    """Joint positions at reset, rad or m; 0 for joints that it does not name."""
+    grasps: tuple[ScriptedGrasp, ...]
+    start_clearance: ClassVar[float] = 0.05
+    """Edge of the largest cube that lies free of the hand at the start, m. Over what is higher the
+    hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hand(Model, Actuation, Geometry, Start):
+    """One hand."""
 
     def closing_from(self, start: float, actions: str) -> Hand:
         """Return the hand with slides that stand still and fingers that close and open.
@@ -420,16 +449,8 @@ class Hand:
         """Return joint targets that hold the start pose, shape (n_actuators,)."""
         return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
 
-    @property
-    def digits(self) -> tuple[str, ...]:
-        """Names of its digits."""
-        names = [s.digit for s in self.surfaces if s.segment != "palm"]
-        return tuple(dict.fromkeys(names))
-
 
 def short_digest(*parts: Path | bytes) -> str:
     """Return a digest, 16 hex digits, of bytes and of the content of files."""
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part if isinstance(part, bytes) else part.read_bytes())
-    return digest.hexdigest()[:16]
+    contents = (p if isinstance(p, bytes) else p.read_bytes() for p in parts)
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]

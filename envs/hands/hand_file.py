@@ -27,8 +27,6 @@ from .hand import (
     Hand,
     LinearAction,
     ScriptedGrasp,
-    Sensors,
-    Surface,
     short_digest,
 )
 from .parts import Parts, require_distinct
@@ -50,19 +48,7 @@ def load(file: HandFile, path: Path) -> Hand:
     the model's package is not installed.
     """
     parts = Parts(file, path.parent)
-    hand = _hand(parts, path)
-    if parts.is_own:
-        timestep = file.scene.get("timestep", TIMESTEP)
-        require_type(timestep, checks.Timestep, "scene.timestep")
-        with model_file.quiet():
-            notes = checks.examine(hand, parts, timestep)
-        hand = replace(hand, notes=hand.notes + notes)
-    return hand
-
-
-def _hand(parts: Parts, path: Path) -> Hand:
-    file, sides = parts.file, surfaces.of(parts)
-    built, at = _hung(parts)
+    sides, (built, at) = surfaces.of(parts), _hung(parts)
     grasps, driven = _grasps(parts, at, file.grasp), parts.driven
     actuators = (*SLIDES, *driven.values())
     for name in file.first_joints:
@@ -71,35 +57,37 @@ def _hand(parts: Parts, path: Path) -> Hand:
         require_one_of(parts.digits, name, "handed_beside")
     hand = Hand(
         name=path.stem,
+        file=file,
         build=built,
+        paths=model_file.files(parts.path, parts.raw),
+        welded=parts.welded,
+        notes=_notes(parts),
         joints=(*SLIDES, *parts.joints),
         actuators=actuators,
         actuated=(*SLIDES, *driven),
+        couplings=tuple(each for each in parts.follows if each.driver in driven),
+        opened={driven[joint]: angle for joint, angle in parts.opened.items()},
+        closed={driven[joint]: angle for joint, angle in parts.closed.items()},
+        groups=_groups(parts),
+        action_map=_joint_action(parts, grasps, at),
+        action_names=actuators,
         palm=parts.palm_frame.link,
         palm_point=parts.palm_point,
         fingertips=tuple((each.links[-1], each.tip) for each in parts.digits.values()),
         surfaces=sides,
         pitch=surfaces.pitch(parts, sides),
-        action_map=_joint_action(parts, grasps, at),
-        action_names=actuators,
-        couplings=tuple(each for each in parts.follows if each.driver in driven),
-        first_joints=file.first_joints,
-        start={joint: angle for joint, angle in parts.start.items() if angle},
-        observation=file.observation,
-        added_inertia=file.added_inertia,
-        grasps=grasps or _grasps(parts, at, _kept(path)),
-        opened={driven[joint]: angle for joint, angle in parts.opened.items()},
-        closed={driven[joint]: angle for joint, angle in parts.closed.items()},
-        groups=_groups(parts),
-        notes=_notes(parts) if parts.is_own else (),
-        files=parts.files,
-        finger_length=_finger_length(sides),
+        sensors=surfaces.sensors(parts),
         reach=_reach(parts),
-        welded=parts.welded,
-        sensors=surfaces.sensors(parts) if parts.is_own else Sensors(),
-        handed_beside=file.handed_beside,
+        start={joint: angle for joint, angle in parts.start.items() if angle},
+        grasps=grasps or _grasps(parts, at, _kept(path)),
     )
-    return _with_actions(file, hand)
+    if file.actions.kind == "closing":
+        hand = _closing(hand)
+    if not parts.is_own:
+        return hand
+    timestep = file.scene.get("timestep", TIMESTEP)
+    require_type(timestep, checks.Timestep, "scene.timestep")
+    return replace(hand, notes=hand.notes + checks.examine(hand, parts, timestep))
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:
@@ -117,16 +105,6 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         ],
     }
     return tuple(text + ", ".join(names) for text, names in notes.items() if names)
-
-
-def _finger_length(sides: tuple[Surface, ...]) -> float:
-    """Return the length of the longest digit, m: of all its segments."""
-    lengths = dict.fromkeys((side.digit for side in sides), 0.0)
-    for side in sides:
-        if side.segment != "palm":
-            low, high, _ = side.span
-            lengths[side.digit] += high - low
-    return max(lengths.values())
 
 
 def _reach(parts: Parts) -> float:
@@ -185,20 +163,12 @@ def _hung(parts: Parts) -> tuple[Callable[..., mujoco.MjSpec], Array]:
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     axes = parts.palmar, parts.fingers, np.cross(parts.palmar, parts.fingers)
     turn = np.round(PALM_DOWN @ np.array(axes) @ (root.T @ palm).T, 12) + 0.0
-    steps = (
-        root.T @ (data.xpos[parts.palm] - data.xpos[1]),
-        root.T @ palm @ np.array(of),
-    )
-
-    def with_palm(at: Array) -> Callable[..., mujoco.MjSpec]:
-        for step in steps:
-            at = at - turn @ np.round(step, NANO)
-        return partial(_build, parts, at, turn)
-
+    to_palm = turn @ np.round(root.T @ (data.xpos[parts.palm] - data.xpos[1]), NANO)
+    to_point = turn @ np.round(root.T @ palm @ np.array(of), NANO)
     at = np.array(place.at or ())
     if place.at is None:
-        at = _above_the_object(parts, with_palm(np.zeros(3))())
-    return with_palm(at), at
+        at = _above_the_object(parts, _build(parts, -to_palm - to_point, turn))
+    return partial(_build, parts, at - to_palm - to_point, turn), at
 
 
 def _above_the_object(parts: Parts, spec: mujoco.MjSpec) -> Array:
@@ -314,14 +284,9 @@ def _joint_action(
     )
 
 
-def _with_actions(file: HandFile, hand: Hand) -> Hand:
-    """Return the hand with the actions that the file wants.
-
-    They are of joints, or increments of slides and groups.
-    """
-    slides = file.slides
-    if file.actions.kind == "joints":
-        return hand
+def _closing(hand: Hand) -> Hand:
+    """Return the hand with actions that are increments of slides and groups."""
+    file, slides = hand.file, hand.file.slides
     if not hand.groups:
         raise ValueError(
             "actions: kind closing needs the angles of the closed hand: [closed]"

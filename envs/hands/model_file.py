@@ -13,6 +13,10 @@ import numpy as np
 
 from .. import validation
 
+# MuJoCo would print its warnings, which are counted (`Simulator.warnings`), and write a log.
+LOGS = mujoco.MjLogConfig.get()
+LOGS.logto_console = LOGS.logto_file = False
+LOGS.set()
 EMPTY_SPEC = mujoco.MjSpec()
 """MuJoCo's own defaults, `EMPTY_SPEC.default`, for what is added to a model that has defaults."""
 MESHES = (".stl", ".obj", ".msh")
@@ -93,23 +97,10 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Keep MuJoCo's warnings off the terminal, and from a log where it runs."""
-    before, here = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
-    here.logto_console = here.logto_file = False
-    here.set()
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            yield
-    finally:
-        before.set()
-
-
-@contextmanager
 def reading() -> Iterator[None]:
     """Have MuJoCo and the reader of XML raise ValueErrors of one line, and print no warnings."""
     try:
-        with quiet():
+        with warnings.catch_warnings(action="ignore"):
             yield
     except (ValueError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise ValueError(f"model: {' '.join(str(error).split())}") from None

@@ -13,7 +13,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..state import Array
 from ..validation import require_one_of
 from . import model_file
 from .hand import Coupling
@@ -30,11 +29,6 @@ FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 JOINT, TENDON = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
-DYNAMICS = (
-    mujoco.mjtDyn.mjDYN_NONE,
-    mujoco.mjtDyn.mjDYN_FILTER,
-    mujoco.mjtDyn.mjDYN_FILTEREXACT,
-)
 
 
 def cleaned(model: Path, file: HandFile, visual: bool) -> mujoco.MjSpec:
@@ -100,8 +94,7 @@ def fuse(spec: mujoco.MjSpec) -> None:
     """Make what is fixed to a link part of it."""
     for body in spec.bodies:
         body.fuse = is_fixed(body)
-    with model_file.quiet():
-        spec.fuse_static()
+    spec.fuse_static()
 
 
 def set_range(joint: mujoco.MjsJoint, low: float, high: float) -> None:
@@ -137,18 +130,16 @@ def drive(spec: mujoco.MjSpec, passive: Names, servos: Servos) -> None:
     another or are passive. All joints that are driven have a range.
     """
     for actuator in spec.actuators:
-        if is_servo(spec, actuator):
-            measure_in_joints(spec, actuator)
-    followers = {coupling.joint for coupling in followed(spec)}
+        measure_in_joints(spec, actuator)
+    unmoved = {coupling.joint for coupling in followed(spec)}.union(passive)
     for joint in spec.joints if not spec.actuators else ():
-        if joint.name not in followers and joint.name not in passive:
+        if joint.name not in unmoved:
             servo = _servo_of(joint, servos)
             _damp(joint, servo)
             add_servo(spec, joint.name, servo.gain, servo.limit)
     for actuator in spec.actuators:
         for joint in map(spec.joint, arms(spec, actuator)):
-            is_free = actuator.ctrllimited == UNLIMITED
-            if is_unranged(joint) and (is_free or np.ptp(actuator.ctrlrange) == 0):
+            if is_unranged(joint):
                 end = DEFAULT_RANGES[joint.type]
                 set_range(joint, -end, end)
 
@@ -156,38 +147,34 @@ def drive(spec: mujoco.MjSpec, passive: Names, servos: Servos) -> None:
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     """Return the model with a single body at its root.
 
-    Several are put on one rigid base, and so is one that is in a frame or moves on a joint; a body that
-    is named as root is all that there is, with what it carries, at rest. Raise ValueError where there
-    is none, or several move freely.
+    A body that is named as root is all that there is, with what it carries, at rest. Otherwise several
+    roots are put on one rigid base, and so is one that is in a frame or moves on a joint. Raise
+    ValueError where there is none, or several move freely.
     """
-    roots, chosen = list(spec.worldbody.bodies), None
+    roots, whole = list(spec.worldbody.bodies), mujoco.MjSpec()
     if root:
         require_one_of([body.name for body in spec.bodies[1:]], root, "root")
         chosen = spec.body(root)
-    if not root and len(roots) == 1:
-        for joint in roots[0].joints:
+        for joint in chosen.joints:
+            spec.delete(joint)
+        whole.worldbody.add_frame().attach_body(chosen, "", "")
+    else:
+        for joint in roots[0].joints if len(roots) == 1 else ():
             if joint.type == FREE_JOINT:
                 spec.delete(joint)
-        if roots[0].frame is None and not list(roots[0].joints):
+        if len(roots) == 1 and not (roots[0].frame or list(roots[0].joints)):
             return spec
-    elif not root and (not roots or any(map(is_loose, roots))):
-        names = ", ".join(body.name for body in roots)
-        raise ValueError(
-            f"model: found {len(roots)} bodies at its root ({names}), allowed one, or some that are "
-            'fixed; leave others out with drop = ["NAME"]'
-        )
-    whole = mujoco.MjSpec()
-    with model_file.quiet():  # names stay as they are
-        if chosen is None:
-            base = whole.worldbody.add_body(name=BASE)
-            whole.attach(spec, prefix="", frame=base.add_frame())
-            # Where nothing is part of the base it is as light as can be: 1 g, 1e-6 kg m².
-            if all(list(body.joints) for body in roots):
-                base.mass, base.inertia, base.explicitinertial = 1e-3, [1e-6] * 3, True
-        else:
-            for joint in chosen.joints:
-                spec.delete(joint)
-            whole.worldbody.add_frame().attach_body(chosen, "", "")
+        if not roots or any(map(is_loose, roots)):
+            names = ", ".join(body.name for body in roots)
+            raise ValueError(
+                f"model: found {len(roots)} bodies at its root ({names}), allowed one, or some that "
+                'are fixed; leave others out with drop = ["NAME"]'
+            )
+        base = whole.worldbody.add_body(name=BASE)
+        # Where nothing is part of the base it is as light as can be: 1 g, 1e-6 kg m².
+        if all(list(body.joints) for body in roots):
+            base.mass, base.inertia, base.explicitinertial = 1e-3, [1e-6] * 3, True
+        whole.attach(spec, prefix="", frame=base.add_frame())
     whole.modelfiledir, whole.meshdir = spec.modelfiledir, spec.meshdir
     whole.compiler.balanceinertia = spec.compiler.balanceinertia
     return whole
@@ -210,20 +197,15 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
 def joined(spec: mujoco.MjSpec) -> Iterator[tuple[mujoco.MjsEquality, str, str]]:
     """Yield every weld and connection with the two bodies that it joins.
 
-    Raise ValueError where the model lacks one of them.
+    Raise ValueError where one joins no bodies, but sites.
     """
+    bodies = [body.name for body in spec.bodies]
     for equality in spec.equalities:
         if equality.type in LOOPS:
-            by_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
-            kind, find = ("site", spec.site) if by_sites else ("body", spec.body)
-            names = equality.name1, equality.name2 or "world"
-            first, second = map(find, names)
-            if first is None or second is None:
-                missing = names[first is not None]
-                raise ValueError(f"model: equality: found no {kind} called {missing!r}")
-            if by_sites:
-                first, second = first.parent, second.parent
-            yield equality, first.name, second.name
+            first, second = equality.name1, equality.name2 or "world"
+            for name in (first, second):
+                require_one_of(bodies, name, "model: a body of an equality")
+            yield equality, first, second
 
 
 def is_loose(body: mujoco.MjsBody) -> bool:
@@ -322,7 +304,7 @@ def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
     is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
     pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
     moves = sum(arms(spec, actuator).values()) > 0
-    return bool(pulls and moves and actuator.dyntype in DYNAMICS)
+    return bool(pulls and moves and actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE)
 
 
 def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
@@ -370,13 +352,3 @@ def servo_figures(
     if model.jnt_actfrclimited[moved.id]:  # as by a URDF's effort
         limit = min(limit, float(model.jnt_actfrcrange[moved.id, 1]))
     return float(gain * arm), float(damping), limit
-
-
-def hold(
-    model: mujoco.MjModel, data: mujoco.MjData, actuators: list[int], targets: Array
-) -> None:
-    """Make servos hold these targets from now on, and before: in what they filter, too."""
-    data.ctrl[actuators] = targets
-    for actuator, target in zip(actuators, targets, strict=True):
-        if model.actuator_actnum[actuator]:
-            data.act[model.actuator_actadr[actuator]] = target

@@ -117,10 +117,10 @@ class Parts:
 
         What a pose of the file moves has one all the same.
         """
-        joints = self.by_joint(dict.fromkeys(self.file.passive), "passive")
-        moved = set[str]()
-        for title in ("opened", "closed", "start"):
-            moved |= self.by_joint(getattr(self.file, title) or {}, title).keys()
+        file = self.file
+        joints = self.by_joint(dict.fromkeys(file.passive), "passive")
+        poses = file.opened | file.closed | (file.start or {})
+        moved = self.by_joint(poses, "opened, closed and start")
         looped = set[str]().union(*mount.loops(self.raw))
         for joint in self.raw.joints:
             if joint.parent.name in looped and joint.name not in moved:
@@ -131,11 +131,6 @@ class Parts:
     def spec(self) -> mujoco.MjSpec:
         """The model as the hand has it, without what only pictures need."""
         return self.bare(visual=False)
-
-    @cached_property
-    def files(self) -> tuple[Path, ...]:
-        """Paths of all files of the model: the MJCF or URDF, its includes and meshes."""
-        return model_file.files(self.path, self.raw)
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -165,8 +160,7 @@ class Parts:
         for law in laws.values():
             require_one_of(self.joints, law.follows, "couplings")
         return tuple(
-            Coupling(joint, law.follows, law.ratio, law.offset)
-            for joint, law in laws.items()
+            Coupling(joint, *vars(law).values()) for joint, law in laws.items()
         )
 
     @cached_property
@@ -211,8 +205,7 @@ class Parts:
         """Return a table of the file by joint; its keys are joints or patterns of them."""
         values: dict[str, Any] = {}
         for pattern, value in table.items():
-            is_name = pattern in self.joints
-            joints = [pattern] if is_name else matching(self.joints, pattern)
+            joints = matching(self.joints, pattern)
             if not joints:
                 require_one_of(self.joints, pattern, where)
             values |= dict.fromkeys(joints, value)
@@ -244,14 +237,11 @@ class Parts:
     def closed(self) -> Angles:
         """Angles of the closed hand, of joints that have an actuator."""
         closed = self.angles(self.file.closed, "closed")
-        followers = [coupling.joint for coupling in self.follows]
         for joint in closed:
             if joint not in self.driven:
-                hint = "leave it out, or drop all actuators"
-                if joint in followers:
-                    hint = "it follows another: leave it out"
                 raise ValueError(
-                    f"closed.{joint}: found a joint without an actuator; {hint}"
+                    f"closed.{joint}: found a joint without an actuator; leave it out, or, unless it "
+                    "follows another, drop all actuators"
                 )
         return closed
 

@@ -8,20 +8,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from ..state import Array
 from ..validation import require_known
-from . import model_file, mount
+from . import model_file
 from .geometry import geoms_of, meet, outside, perpendicular, posed, unit
 from .hand import RADIUS, SEGMENTS, Frame, Pitch, Point, Sensors, Surface
 from .parts import Parts
 from .tables import DigitTable
 
-PARALLEL = 0.99  # cosine
+TURNED = 0.1  # rad: what closing turns less moves as a whole
+STILL = (
+    1e-4  # m, or rad m: a fingertip that moves less as its hand closes does not move
+)
 OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
 SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch|fsr")
 MIN_RADIUS, MAX_RADIUS = 1e-3, 0.02  # m, of sensors
@@ -31,26 +33,33 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 def of(parts: Parts) -> tuple[Surface, ...]:
     """Return the palmar sides of all segments, then of the palm at the bases of the fingers."""
-    opened = parts.opened | parts.followed(parts.opened)
-    data, surfaces = posed(parts.model, opened), []
+    model, surfaces = parts.model, list[Surface]()
+    data = posed(model, parts.opened | parts.followed(parts.opened))
     tips = parts.tips(data)
+    mujoco.mj_comPos(model, data)
+    ways, moves, turns = np.zeros(model.nv), *np.zeros((2, 3, model.nv))
+    for joint in parts.joints:
+        ways[model.joint(joint).dofadr] = parts.way(joint)
     for (name, digit), tip in zip(parts.digits.items(), tips, strict=True):
+        last = digit.links[-1]
+        mujoco.mj_jac(model, data, moves, turns, tip, model.body(last).id)
+        links = [model.body(link).id for link in digit.links]
+        move, axis = moves @ ways, turns @ (ways * np.isin(model.dof_bodyid, links))
+        if np.linalg.norm(move) < STILL:
+            move = tips.mean(axis=0) - tip
         segments = _segments(len(digit.links))
-        for count, side in enumerate(digit.sides):
-            links = digit.links[count:]
-            body = data.body(links[0])
-            turn = body.xmat.reshape(3, 3).T
-            along = unit(turn @ (tip - body.xpos), f"digits.{name}.tip")
-            inward = turn @ (tips.mean(axis=0) - body.xpos)
-            empty = Surface(name, segments[count], links[0], ORIGIN, ORIGIN, ORIGIN)
-            surfaces.append(_segment(parts, data, empty, links, along, inward, side))
-        last = surfaces[-1]
-        shift = parts.file.pitch.distal_shift * np.array(last.along)
-        surfaces[-1] = replace(last, centre=tuple(last.centre + shift))
-        away, _ = outside(geoms_of(parts.model, last.link), np.array(digit.tip))
+        for link, segment, side in zip(digit.links, segments, digit.sides, strict=True):
+            body = data.body(link)
+            way = np.array([tip - body.xpos, move, axis]) @ body.xmat.reshape(3, 3)
+            empty = Surface(name, segment, link, ORIGIN, ORIGIN, ORIGIN)
+            surfaces.append(_segment(parts, empty, way, side))
+        end = surfaces[-1]
+        shift = parts.file.pitch.distal_shift * np.array(end.along)
+        surfaces[-1] = replace(end, centre=tuple(end.centre + shift))
+        away, _ = outside(geoms_of(model, last), np.array(digit.tip))
         if away > OFF_SKIN:
             raise ValueError(
-                f"digits.{name}.tip: found a point {1e3 * away:.1f} mm off body {last.link!r}, "
+                f"digits.{name}.tip: found a point {1e3 * away:.1f} mm off body {last!r}, "
                 f"allowed up to {1e3 * OFF_SKIN:g} mm"
             )
     bases = {name: digit for name, digit in parts.file.digits.items() if digit.base}
@@ -79,81 +88,41 @@ def _segments(n: int) -> tuple[str, ...]:
     return (*names[: n - 1], last)
 
 
-def _segment(
-    parts: Parts, data: mujoco.MjData, empty: Surface, links: tuple[str, ...], along: Array,
-    inward: Array, side: Array | None,
-) -> Surface:  # fmt: skip
-    """Return the palmar side of the first of some links.
+def _segment(parts: Parts, empty: Surface, way: Array, side: Array | None) -> Surface:
+    """Return the palmar side of a link: the given one, or that to which closing turns or moves it.
 
-    Its rows go along the axis of a capsule, on anything else along the way to the tip.
+    `way` (3, 3) is, in the link's frame, the way to the fingertip, how closing moves that, and the axis
+    about which it turns the digit. Rows go along the axis of a capsule, else towards the tip.
     """
-    geoms = geoms_of(parts.model, links[0])
+    where = f"digits.{empty.digit}: body {empty.link!r}"
+    geoms, (along, move, axis) = geoms_of(parts.model, empty.link), way
+    along = unit(along, where)
     if not geoms:
-        raise ValueError(
-            f"digits.{empty.digit}: body {links[0]!r} has no geom that collides"
-        )
+        raise ValueError(f"{where} has no geom that collides")
     is_capsule = [geom.kind for geom in geoms] == ["capsule"]
     if is_capsule:
         half = geoms[0].turn.apply([0.0, 0.0, geoms[0].size[1]])
         ends = geoms[0].position + np.outer([-1.0, 1.0], half)
         ends = np.round(ends, NANO)  # as a model's file has it
         ends = ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")]
-        along = unit(ends[1] - ends[0], links[0])
+        bone = along = unit(ends[1] - ends[0], where)
     if side is None:
-        side, to_tip = _palmar(parts, data, links, along, inward)
-        along = along if is_capsule else to_tip
+        if np.linalg.norm(np.cross(axis, along)) > TURNED:
+            axis = np.round(unit(axis, where), 12)
+            along = perpendicular(along, axis)
+            move = np.cross(axis, along)
+        side = unit(move, f"{where}: palmar")
     if is_capsule:
         return replace(
             empty,
             centre=tuple(ends.mean(axis=0)),
-            along=tuple(along),
-            palmar=tuple(perpendicular(side, along)),
+            along=tuple(bone),
+            palmar=tuple(perpendicular(side, bone)),
             radius=geoms[0].size[0],
             bone=(tuple(ends[0]), tuple(ends[1])),
         )
     along = perpendicular(along, side)
     return _around(replace(empty, geoms=geoms, along=tuple(along), palmar=tuple(side)))
-
-
-def _palmar(
-    parts: Parts, data: mujoco.MjData, links: tuple[str, ...], along: Array, inward: Array
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return the palmar side of the first of some links, and its direction to the tip.
-
-    Both are unit vectors (3,) in its frame. Closing turns the link to its palmar side: about its own
-    joints, else about those beyond it, else about those that carry it. A link that slides goes there,
-    and one that nothing moves faces `inward`.
-
-    An axis against which the link is turned by more, as one that stays parallel, counts the other way.
-    """
-    turn = data.body(links[0]).xmat.reshape(3, 3).T
-
-    def moves(bodies: Any, kind: Any) -> list[Array]:
-        joints = [j for body in bodies for j in parts.spec.body(body).joints]
-        ways = {
-            joint.name: parts.way(joint.name) for joint in joints if joint.type == kind
-        }
-        return [
-            way * np.round(turn @ data.joint(name).xaxis, 12)
-            for name, way in ways.items()
-            if way
-        ]
-
-    above = mount.chain(parts.spec.body(links[0]))[-2::-1]
-    bending, carrying = moves(links[:1], mount.HINGE), moves(above, mount.HINGE)
-    for move in bending + moves(links[1:], mount.HINGE) + carrying:
-        axis = unit(move, links[0])
-        axis = -axis if axis @ sum(bending + carrying, np.zeros(3)) < 0 else axis
-        if np.linalg.norm(np.cross(axis, along)) > 0.5:
-            along = perpendicular(along, axis)
-            return unit(np.cross(axis, along), links[0]), along
-    for move in moves([links[0], *above], mount.LINEAR):
-        side = unit(move, links[0])
-        if abs(side @ along) >= PARALLEL:
-            along = np.cross(side, np.roll(side, 1))
-        return side, along
-    hint = f"nothing in [closed] bends {links[0]!r}; say palmar = [x, y, z]"
-    return unit(inward - (inward @ along) * along, hint), along
 
 
 def _around(surface: Surface) -> Surface:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from ..validation import Fraction
-from .hand import CLOSING_STEP, Hand
 
+CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
 Number = Annotated[float, "[-1e9, 1e9]"]
 Positive = Annotated[float, "[0, 1e9]"]
 Vector = tuple[Number, Number, Number]
@@ -146,7 +146,9 @@ class HandFile:
     masses: dict[str, Positive] = field(default_factory=dict)
     contacts: Literal["others", "model"] = "others"
     palm_is_flat: bool = False
-    added_inertia: Positive = Hand.added_inertia
+    added_inertia: Positive = 1e-4
+    """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
+    is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
     observation: Names = (
         "joint_positions",
         "joint_velocities",

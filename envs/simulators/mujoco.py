@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from ..hands import model_file
-from ..hands.mount import GIVER, GROUND, OBJECT, hold
+from ..hands.mount import GIVER, GROUND, OBJECT
 from ..objects import Shape
 from ..state import Array, Contacts, State
 from . import (
@@ -100,8 +100,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
     spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE * (SKINS if scene.skin else 1)
     _take_textures(spec)
-    with model_file.quiet():
-        spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
+    spec.attach(_surroundings(scene), prefix="", frame=spec.worldbody.add_frame())
     for number, sensor in enumerate(scene.sensors):
         _add_touch_sensor(spec, f"touch of taxel {number}", sensor)
     return spec
@@ -335,8 +334,7 @@ class MujocoSimulator(Simulator):
         """Write what an episode begins with; what follows from it is not computed yet."""
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
-        held = joint_positions[self._actuated]
-        hold(self.model, self.data, self._ctrl.tolist(), held)
+        self.data.ctrl[self._ctrl] = joint_positions[self._actuated]
         self.data.qpos[self._qpos] = joint_positions
         turn = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
         self.data.qpos[self._object_qpos] = [*object_position, *turn]

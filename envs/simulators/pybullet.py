@@ -168,7 +168,7 @@ class PyBulletSimulator(Simulator):
 
         Bullet multiplies the frictions of two bodies: 1 everywhere but on the object.
         """
-        added = self.scene.hand.added_inertia
+        added = self.scene.hand.file.added_inertia
         for name, index in self._links.items():
             body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
             inertia = (
@@ -211,10 +211,9 @@ class PyBulletSimulator(Simulator):
         for joint, driver, ratio, offset, is_rigid in hand.couplings:
             if is_rigid and ratio:
                 followed = self.joint_limits[hand.joints.index(joint)]
-                low, high = sorted((followed - offset) / ratio)
+                ends = np.sort((followed - offset) / ratio)
                 index = hand.actuated.index(driver)
-                limits[0, index] = max(low, limits[0, index])
-                limits[1, index] = min(high, limits[1, index])
+                limits[:, index] = limits[:, index].clip(*ends)
         return limits
 
     # -- running -----------------------------------------------------------------------------

@@ -17,7 +17,7 @@ def fed(batches, size, comm=None):
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e4, 1e8])
 def test_moments_of_columns_far_from_zero(offset):
     rows = offset + np.random.default_rng(0).standard_normal((10_000, 3)) * [1.0, 0.1, 30.0]
-    stats = fed(np.array_split(rows, 117), 3)
+    stats = fed([rows[:0], *np.array_split(rows, 117), rows[:0]], 3)  # a rank may have none
     np.testing.assert_allclose(stats.mean, rows.mean(axis=0), rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(stats.std, rows.std(axis=0), rtol=1e-6 if offset == 1e8 else 1e-9)
 
@@ -26,15 +26,6 @@ def test_constant_columns_do_not_explode():
     stats = fed([np.full((50, 2), [3.0, 1e8]) for _ in range(3)], 2)
     assert (stats.std == MIN_STD).all()
     assert (stats.scaling()(torch.tensor([[3.0, 1e8]])) == 0).all()
-
-
-def test_what_varies_less_than_the_floor_stays_small():
-    """As the noise of a joint that stands still, which would count as much as a finger that closes."""
-    rows = np.random.default_rng(0).standard_normal((2000, 2)) * [0.05, 3.0]
-    stats = Normalizer(2, Communicator(), min_std=1.0)
-    stats.update(rows)
-    seen = stats.scaling()(torch.from_numpy(rows.astype(np.float32)))
-    assert seen.std(dim=0).tolist() == pytest.approx([0.05, 1.0], rel=0.05)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -54,12 +45,6 @@ def test_a_column_that_explodes_spoils_nothing(kind):
 def test_clip_and_before_the_first_update():
     stats = Normalizer(2, Communicator(), clip=5.0)
     assert stats.scaling()(torch.tensor([[-1.0, 99.0]])).tolist() == [[-1.0, 5.0]]
-
-
-def test_a_rank_without_rows_and_no_rows_at_all():
-    stats = fed([np.zeros((0, 2)), np.ones((4, 2)), np.zeros((0, 2))], 2)
-    assert stats.count == 4
-    assert stats.mean.tolist() == [1.0, 1.0]
 
 
 def block_of(columns, size=4, clip=np.inf):

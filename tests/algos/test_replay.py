@@ -48,25 +48,20 @@ class TestRelabelling:
         batch = filled(range(1, 6), lengths={2: 3}).sample(20_000, 0.8)
         number, t = batch.obs[:, 0], batch.obs[:, 1]
         is_new = batch.goal[:, 0] > 0
+        assert stats.binomtest(int(is_new.sum()), is_new.size, 0.8).pvalue > 1e-3
         np.testing.assert_array_equal(batch.goal[is_new, 0], number[is_new])
         assert (batch.goal[is_new, 1] > t[is_new]).all()
         assert (batch.goal[is_new, 1] <= np.where(number == 2, 3, MAX_STEPS)[is_new]).all()
         own = np.stack([-number, -t, 0 * t], axis=1)
         np.testing.assert_array_equal(batch.goal[~is_new], own[~is_new])
 
-    def test_the_share_of_new_goals(self):
-        is_new = filled([1]).sample(100_000, 0.8).goal[:, 0] > 0
-        assert stats.binomtest(int(is_new.sum()), is_new.size, 0.8).pvalue > 1e-3
-
-    @pytest.mark.parametrize("length", [MAX_STEPS, 5])
-    def test_each_later_step_is_equally_likely(self, length):
-        batch = filled([3], lengths={3: length}).sample(100_000, 0.8)
-        for t in range(length):
+    def test_each_later_step_is_equally_likely(self):
+        batch = filled([3], lengths={3: 5}).sample(100_000, 0.8)
+        for t in range(4):
             chosen = batch.goal[(batch.obs[:, 1] == t) & (batch.goal[:, 0] > 0), 1].astype(int)
-            counts = np.bincount(chosen, minlength=length + 1)
+            counts = np.bincount(chosen, minlength=6)
             assert counts[: t + 1].sum() == 0
-            if t < length - 1:
-                assert stats.chisquare(counts[t + 1 :]).pvalue > 1e-3
+            assert stats.chisquare(counts[t + 1 :]).pvalue > 1e-3
 
     def test_transitions_are_uniform_whatever_the_episodes_lengths(self):
         batch = filled([1, 2, 3], lengths={1: 2, 3: 5}).sample(60_000, 0.8)
@@ -134,21 +129,6 @@ class TestStoring:
     def test_too_small(self):
         with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
             Replay(7, 8, (3, 3, 2), reward)
-
-
-class TestSaving:
-    def test_reloaded_in_parts_it_samples_the_same(self):
-        whole, parts = make_replay(slots=4), []
-        for numbers in ([1, 2], [3, 4, 5], [6]):
-            whole.store([episode(n, length=3 + n % 3) for n in numbers])
-            parts.append(whole.new_experience())
-        again = make_replay(slots=4, seed=9)
-        for part in parts:
-            again.add_experience(part)
-        again.rng.bit_generator.state = whole.rng.bit_generator.state
-        assert len(again) == len(whole)
-        for a, b in zip(whole.sample(300, 0.8), again.sample(300, 0.8), strict=True):
-            np.testing.assert_array_equal(a, b)
 
 
 def test_goal_observation_copies():

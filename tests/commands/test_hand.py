@@ -14,7 +14,7 @@ from tactilerl.scripted import grasp_search
 from one_line import fails_with, printed
 
 sys.path.append(str(Path(__file__).parents[1] / "envs"))
-from test_published_hands import FINGERS, MODEL, PALM, TIP, urdf
+from test_published_hands import FINGERS, MODEL, TIP, urdf
 
 FINGER = """<body name="{n}_1" pos="0.045 {y} 0"><joint name="{n}_a" axis="0 1 0" range="0 1.6"/>
 <geom type="capsule" size="0.008" fromto="0 0 0 0.045 0 0"/><body name="{n}_2" pos="0.045 0 0">
@@ -108,31 +108,6 @@ def test_a_palm_that_folds_keeps_its_thumb():
     assert "fold" not in about["closed"]
 
 
-def test_a_hand_on_a_stand():
-    stand = '<body name="stand"><geom type="box" size="0.5 0.5 0.5"/><body name="hand" pos="-0.6 0 0">'
-    model = PERSON.replace('<body name="hand">', stand).replace("</worldbody>", "</body></worldbody>")
-    about = guessed(model)
-    assert (about["palm"], about["root"], about["palmar"]) == ("hand", "hand", [0, 0, -1])
-
-
-def test_fingers_that_close_on_a_thumb_across_a_broad_palm():
-    finger = """<body name="{n}_1" pos="{x} {y} -0.02" euler="0 1.5708 0"><joint name="{n}_a"
-    axis="0 {s} 0" range="-0.2 1.5"/><geom type="capsule" size="0.007" fromto="0 0 0 0.05 0 0"/>
-    <body name="{n}_2" pos="0.05 0 0"><joint name="{n}_b" axis="0 {s} 0" range="0 1.5"/>{tip}</body>
-    </body>"""
-    digits = [
-        ("thumb", -0.07, 0, -1),
-        ("index", 0.07, -0.02, 1),
-        ("middle", 0.07, 0, 1),
-        ("ring", 0.07, 0.02, 1),
-    ]
-    texts = (finger.format(n=n, x=x, y=y, s=s, tip=TIP) for n, x, y, s in digits)
-    palm = '<geom type="box" size="0.085 0.045 0.015"/>'
-    about = guessed(MODEL.replace(FINGERS, "".join(texts)).replace(PALM, palm))
-    assert about["palmar"] == [0, 0, -1]
-    assert about["fingers"] == [1, 0, 0]
-
-
 def test_of_two_hands_the_first_is_taken():
     other = turned_about(PERSON, "hand", "other")[
         len('<mujoco><compiler angle="radian"/><worldbody>') :
@@ -209,14 +184,6 @@ def test_an_arm_is_cut_off():
     about = guessed(model)
     assert about["root"] == about["palm"] == "palm"
     assert "a0" not in hands.get("hand.toml").joints
-
-
-def test_what_is_in_a_scene_beside_the_hand_is_left_out():
-    ball = '<body name="ball"><freejoint/><geom size="0.02"/></body>'
-    seen = '<body name="seen" mocap="true"><geom size="0.02"/></body>'
-    about = guessed(MODEL.replace("</worldbody>", f"{ball}{seen}</worldbody>"))
-    assert "root" not in about
-    assert not {"ball", "seen"} & {body.name for body in hands.get("hand.toml").build().bodies}
 
 
 def test_a_urdf_whose_palm_hangs_on_a_frame():

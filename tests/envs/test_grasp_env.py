@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import pickle
 import warnings
-from pathlib import Path
 
 import gymnasium as gym
 import mujoco
@@ -18,7 +17,6 @@ from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
-GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 
 
 def make(**choices):
@@ -41,16 +39,13 @@ def rollout(env, seed, n=30, scale=1.0):
 @pytest.mark.parametrize(
     ("task", "hand", "simulator"),
     [
-        ("reach-goal", "shadow", "mujoco"),
-        ("lift-and-hold", "shadow", "pybullet"),
         ("reach-goal", "mpl", "pybullet"),
         ("lift-and-hold", "allegro", "mujoco"),
     ],
 )
 def test_gymnasium_accepts_it(task, hand, simulator):
     env = envs.make(hand, hold_seconds=0.4, task=task, simulator=simulator)
-    digits = 4 if hand == "allegro" else 5
-    assert env.task.goal_size == {"reach-goal": 3, "lift-and-hold": 1 + digits + 1}[task]
+    assert env.task.goal_size == {"reach-goal": 3, "lift-and-hold": 1 + 4 + 1}[task]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*(infinity|render|values are equal).*")
@@ -62,7 +57,6 @@ def test_gymnasium_accepts_it(task, hand, simulator):
     [
         ("lift-and-hold", "shadow", "mujoco"),
         ("reach-goal", "mpl", "pybullet"),
-        ("lift-and-hold", "allegro", "pybullet"),
     ],
 )
 def test_same_seed_same_trajectory_after_every_reset(task, hand, simulator):
@@ -218,11 +212,10 @@ class TestRewards:
 
 
 class TestFaults:
-    @pytest.mark.parametrize("poison", ["qpos", "qvel"])
-    def test_nan_from_the_simulator_truncates_and_says_so(self, poison):
+    def test_nan_from_the_simulator_truncates_and_says_so(self):
         env = make()
         before, _ = env.reset(seed=0)
-        getattr(env.simulator.data, poison)[5] = np.nan
+        env.simulator.data.qpos[5] = np.nan
         obs, reward, terminated, truncated, info = env.step(np.zeros(23))
         assert info["diverged"]
         assert "not finite" in info["error"]
@@ -230,9 +223,7 @@ class TestFaults:
         assert np.array_equal(obs["observation"], before["observation"])
         assert np.array_equal(env.reset(seed=0)[0]["observation"], before["observation"])
 
-    @pytest.mark.parametrize(
-        ("poison", "resets_itself"), [("qpos", True), ("qvel", False), ("qfrc_applied", True)]
-    )
+    @pytest.mark.parametrize(("poison", "resets_itself"), [("qvel", False), ("qfrc_applied", True)])
     def test_a_huge_state_that_no_observation_shows_is_divergence(self, poison, resets_itself, in_tmp):
         """Also where MuJoCo puts everything back to the start of the episode and goes on."""
         env = envs.make("mpl", simulator="mujoco", task="reach-goal")
@@ -250,8 +241,17 @@ class TestFaults:
 
     @pytest.mark.parametrize("rule", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
-        self, rule, little_memory
+        self, rule, monkeypatch, in_tmp
     ):
+        """Too little for the constraints of a pressed object; MuJoCo writes a log where it runs."""
+        build = mujoco_simulator.build_spec
+
+        def small(scene):
+            spec = build(scene)
+            spec.memory = 2**16
+            return spec
+
+        monkeypatch.setattr(mujoco_simulator, "build_spec", small)
         env, rng = make(touch_rule=rule), np.random.default_rng(0)
         first, info = rollout(env, 5, 3, scale=0.1), {}
         while "mj_stackAlloc" not in info.get("error", ""):
@@ -321,6 +321,8 @@ class TestHoldTest:
         assert self.verdict(env, close=True)
         assert env.simulator.state().palm[2] == pytest.approx(1.0, abs=0.02)
         assert env.simulator.state().object_position[2] > 0.85
+        assert self.verdict(env, close=True, verdict="settled")  # which is called on the way up
+        assert env.simulator.state().palm[2] < 0.9
 
     @pytest.mark.parametrize(("hand", "timestep"), [("shadow", 0.004), ("mpl", 1 / 240)])
     def test_is_5000_of_the_set_ups_own_timesteps_whatever_the_timestep(self, hand, timestep):
@@ -333,11 +335,6 @@ class TestHoldTest:
     @pytest.mark.parametrize("verdict", ["full", "settled"])
     def test_opened_hand_drops_it(self, verdict):
         assert not self.verdict(make(), close=False, verdict=verdict)
-
-    def test_settled_is_called_on_the_way_up(self, simulator):
-        env = make(simulator=simulator)
-        assert self.verdict(env, close=True, verdict="settled")
-        assert env.simulator.state().palm[2] < 0.9
 
     def test_settled_foresees_a_drop_in_the_far_future(self, monkeypatch):
         """With friction this soft the cube is in the hand for 16 s, and leaves it after that."""
@@ -357,14 +354,13 @@ class TestHoldTest:
         assert env.simulator.state().object_position[2] < 0.03
         assert env.simulator.data.time - began > 0.8 * rises
 
-    @pytest.mark.parametrize(("shake_seconds", "ends"), [(0.2, 2.7 + 2.9), (2.7, 2.7 + 2.7 + 1.2)])
-    def test_settled_ends_at_the_top_when_the_compressed_time_is_up(self, shake_seconds, ends):
-        """Nothing is ever at rest here. 2.7 s to grasp, 2.9 s up; 1.2 s are compressed."""
+    def test_settled_ends_at_the_top_when_the_compressed_time_is_up(self):
+        """Nothing is ever at rest here. 2.7 s to grasp, 2.7 s of shaking; 1.2 s are compressed."""
         env = make()
-        test = dataclasses.replace(env.task.hold, settle_distance=0.0, shake_seconds=shake_seconds)
+        test = dataclasses.replace(env.task.hold, settle_distance=0.0, shake_seconds=2.7)
         assert self.verdict(env, close=True, verdict="settled", test=test, seconds=20.0)
         assert env.simulator.state().palm[2] > 0.9
-        assert env.simulator.data.time == pytest.approx(ends, abs=0.25)
+        assert env.simulator.data.time == pytest.approx(2.7 + 2.7 + 1.2, abs=0.25)
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
         env = make(hold_seconds=0.2)
@@ -394,3 +390,46 @@ def test_a_pybullet_environment_says_that_it_cannot_be_copied(copied):
     with pytest.raises(TypeError, match="cannot be copied or pickled: make another"):
         copied(env)
     env.reset(seed=0)
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+def test_goals_are_drawn_within_their_range_and_starts_stay(hand, simulator):
+    choices = {"simulator": simulator, "task": "reach-goal", "goal_height": 0.1}
+    fixed, drawn = envs.make(hand, **choices), envs.make(hand, **choices, goal_range=0.05)
+    goals = []
+    for seed in range(20):
+        a, b = (env.reset(seed=seed)[0] for env in (fixed, drawn))
+        np.testing.assert_array_equal(a["observation"], b["observation"])
+        goals.append(b["desired_goal"] - a["desired_goal"])
+        after = drawn.step(np.zeros(drawn.action_space.shape))[0]
+        np.testing.assert_array_equal(after["desired_goal"], b["desired_goal"])
+    again = drawn.reset(seed=0)[0]["desired_goal"] - a["desired_goal"]
+    np.testing.assert_array_equal(again, goals[0])
+    assert np.abs(goals).max() <= 0.05 + 1e-6
+    assert (np.ptp(goals, axis=0) > 0.05).all()
+    assert not np.array_equal(drawn.reset()[0]["desired_goal"], drawn.reset()[0]["desired_goal"])
+
+
+def test_the_objects_velocity_is_what_its_poses_say(simulator):
+    """Of a turned box that falls and spins in free space."""
+    env = envs.make("mpl", simulator=simulator, object_size=(0.02, 0.03, 0.05))
+    sim, dt = env.simulator, env.config.timestep
+    assert not sim.state().object_velocity.any()
+    sim.reset(env.hand.start_positions(), np.array([0.4, 0.4, 1.0]), 0.7)
+    if simulator == "mujoco":
+        sim.data.joint("object").qvel[3:] = [2.0, 1.0, 3.0]
+    else:
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        pybullet.resetBaseVelocity(sim.object, [0, 0, 0], [1.5, 1.0, 3.0], physicsClientId=sim.client)
+    targets, states = env.hand.start_targets(), []
+    for _ in range(12):
+        sim.step(targets, 1)
+        states.append(sim.state())
+    before, last = states[-2], states[-1]
+    moved = (last.object_position - before.object_position) / dt
+    np.testing.assert_allclose(last.object_velocity, moved, atol=1e-6)
+    assert last.object_velocity[2] == pytest.approx(-9.81 * 12 * dt, rel=0.05)
+    turned = last.object_rotation @ before.object_rotation.T
+    spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / dt
+    np.testing.assert_allclose(last.object_angular_velocity, spin, rtol=0.02, atol=0.02)

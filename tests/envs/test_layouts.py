@@ -94,27 +94,20 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        ("[[patch]\n", "not valid TOML"),
         ("", "at least one"),
         ("colour = 3\n[[patch]]\n" + GOOD, "colour: unknown"),
-        ("[[patch]]\nradii = 2\n" + GOOD, "radii: unknown"),
         ("[[patch]]\n" + GOOD.replace("thumb", "toe"), "found 'toe', allowed: thumb"),
         ("[[patch]]\n" + GOOD.replace("distal", "tip"), "found 'tip', allowed: proximal"),
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "offsets_mm: found [0], allowed a list"),
-        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "allowed [-50, 50]"),
-        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[]"), "needs either offsets_mm or rows"),
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
-        ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found 9999"),
         ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),
-        ("[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1.foo: unknown"),
         (
             "[[sensor]]\nfile = 'x.stl'\nlinks = ['a']\n",
             "x.stl: ending of its name: found '.stl', allowed: .j",
         ),
         (f"{SENSOR}position = [1e8, 0, 0]\n", "sensor 1.position: found 100000"),
-        (f"{SENSOR}quaternion = [inf, 0, 0, 0]\n", "sensor 1.quaternion: found inf"),
     ],
 )
 def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):

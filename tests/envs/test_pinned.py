@@ -1,5 +1,4 @@
-"""Nothing that is not asked for changes an episode: its bits are those of the first version that had
-them, for both hands in both simulators and both tasks, and for objects of all kinds."""
+"""Nothing that is not asked for changes an episode: its bits are those of the first version with it."""
 
 import hashlib
 from importlib.metadata import PackageNotFoundError, version

@@ -3,10 +3,9 @@
 import math
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
-from tactilerl.envs import hands, layouts, scripted, taxel_files
+from tactilerl.envs import hands, layouts, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import model_file
 
@@ -165,19 +164,16 @@ class TestCouplings:
         assert law["r_b"] == (0.5, pytest.approx(0.65))
 
 
-SERVOS = {
-    "gear": '<position name="l_a" joint="l_a" kp="5" gear="2"/>',
-    "activation": '<position name="l_a" joint="l_a" kp="5" timeconst="0.5"/>',
-    "own units": '<general name="l_a" joint="l_a" biastype="affine" gainprm="0.02" biasprm="0 -5 0" '
-    'ctrlrange="0 255"/>',
-}
+GEARED = '<position name="l_a" joint="l_a" kp="5" gear="2"/>'
+OWN_UNITS = '<general name="l_a" joint="l_a" biastype="affine" gainprm="0.02" biasprm="0 -5 0" ' \
+            'ctrlrange="0 255"/>'  # fmt: skip
 
 
 class TestServos:
-    @pytest.mark.parametrize("kind", SERVOS)
-    def test_a_target_is_where_the_joint_goes_and_is_held_from_the_start(self, made, kind):
+    @pytest.mark.parametrize("servo", [GEARED, OWN_UNITS])
+    def test_a_target_is_where_the_joint_goes_and_is_held_from_the_start(self, made, servo):
         toml = TOML.replace("[closed]", '[opened]\n"?_a" = 0.4\n[closed]')
-        path = made(with_more(servos(SERVOS[kind], *ALL[1:])), toml)
+        path = made(with_more(servos(servo, *ALL[1:])), toml)
         assert not hands.get(path).notes
         for steps in (1, 6):
             assert at_start(path, steps=steps)["l_a"] == pytest.approx(0.4, abs=0.025), steps
@@ -201,6 +197,7 @@ class TestServos:
             ['<motor name="m" joint="l_a"/>'],
             [*ALL, '<position name="m" joint="l_a" kp="1"/>'],
             [*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'],
+            [*ALL[1:], '<position name="m" joint="l_a" kp="5" timeconst="0.5"/>'],
             [*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'],
             [*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'],
         ],
@@ -211,13 +208,10 @@ class TestServos:
         assert hand.notes[0].startswith("joints have the library's servos, as these are ")
         assert hand.notes[0].endswith(": m")
 
-    @pytest.mark.parametrize("limited", ["", 'ctrllimited="false" '])
-    def test_a_servo_moves_a_joint_without_a_range(self, made, simulator, limited):
-        free = [servo.replace("/>", f' ctrlrange="0 1.5" {limited}/>') for servo in ALL]
-        path = made(with_more(servos(*free)).replace(' range="0 1.5"', ""))
-        env = made_env(path, simulator)
-        assert [*env.hand.action_map.half_range[3:]] == pytest.approx([1.57 if limited else 0.75] * 4)
-        assert len(env.hand.notes) == bool(limited)
+    def test_a_servo_moves_a_joint_without_a_range(self, made, simulator):
+        env = made_env(made(with_more(servos(*ALL)).replace(' range="0 1.5"', "")), simulator)
+        assert [*env.hand.action_map.half_range[3:]] == pytest.approx([1.57] * 4)
+        assert len(env.hand.notes) == 1
         targets = env.hand.start_targets()
         targets[3:] = 0.1
         assert [*reached(env, targets, 20).values()][3:] == pytest.approx([0.1] * 4, abs=0.02)
@@ -257,12 +251,8 @@ class TestServos:
         assert hand.couplings[0].offset == pytest.approx(0.1 + 0.5 * math.radians(20))
 
     def test_what_stands_in_a_frame(self, made):
-        plain = hands.get(made())
-        model = MODEL.replace(FINGERS, fingers(f'<frame pos="0.004 0 0">{TIP}</frame>'))
-        assert hands.get(made(model)).surfaces[1].bone[0] == pytest.approx((0.004, 0, 0))
         model = MODEL.replace("<worldbody>", '<worldbody><frame pos="0.1 0 0.5" euler="1.5 0 0">')
         moved = made(model.replace("</worldbody>", "</frame></worldbody>"))
-        assert hands.get(moved).finger_length == pytest.approx(plain.finger_length)
         tips = [made_env(path).simulator.state().fingertips for path in (made(), moved)]
         assert tips[1] == pytest.approx(tips[0], abs=1e-3)
 
@@ -274,23 +264,40 @@ class TestServos:
         assert at_start(path, simulator)["wrist"] == pytest.approx(0.0, abs=0.02)
 
     def test_includes_beside_what_includes_them(self, made, tmp_path):
+        """MuJoCo prefers what is beside the model."""
         (tmp_path / "in").mkdir()
         (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
-        (tmp_path / "in/b.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>')
-        path, beside = made(with_more('<include file="in/a.xml"/>')), tmp_path / "in/b.xml"
-        assert beside in hands.get(path).files
-        (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
-        (tmp_path / "b.xml").write_text('<mujoco><option timestep="0.002"/></mujoco>')
-        hands._read.clear()
-        assert beside not in hands.get(path).files  # MuJoCo prefers what is beside the model
-        native = mujoco.MjSpec.from_file(str(tmp_path / "hand.xml")).option.timestep
-        assert model_file.read(tmp_path / "hand.xml").option.timestep == native == 0.002
+        path = made(with_more('<include file="in/a.xml"/>'))
+        for place in ("in/b.xml", "b.xml"):
+            (tmp_path / place).write_text("<mujoco><option/></mujoco>")
+            hands._read.clear()
+            assert tmp_path / place in hands.get(path).paths
 
 
 UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)
 BALL = '<body name="pad"><joint type="ball"/><geom size=".005"/></body>'
 FREE = '</body><body name="ball"><freejoint/><geom size="0.1"/>'
 UNMOVED = TOML.replace("[closed]", '[opened]\n"l_a" = 0.6\nl_b = 0.3\n[closed]')
+FLAT = '<inertial pos="0 0 0" mass="0.03" diaginertia="1e-5 1e-5 3e-5"/>'
+BALANCED = MODEL.replace("<compiler ", '<compiler balanceinertia="true" ')
+UNNAMED = with_more(servos(*(servo.replace(f'name="{servo[16:19]}" ', "") for servo in ALL)))
+MOVED = '<body name="ball" mocap="true"><geom size="0.02"/></body></worldbody>'
+FLOOR = '<worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 0.08"/>'
+PADS = fingers(f'<body name="{{n}}_tip">{TIP}</body>')
+EXCLUDED = with_more('<contact><exclude body1="l_tip" body2="palm"/></contact>')
+ONE_DIGIT = TOML.replace(TOML[TOML.index("index =") : TOML.index("[closed]")], "")
+USUAL = {
+    "a ball beside the hand": (MODEL.replace(FINGERS, FINGERS + FREE), TOML),
+    "a ball that is moved from outside": (MODEL.replace("</worldbody>", MOVED), TOML),
+    "balanced inertias": (BALANCED.replace(FINGERS, fingers(TIP + FLAT)), TOML),
+    "actuators without names": (UNNAMED, TOML),
+    "a floor": (MODEL.replace("<worldbody>", FLOOR), TOML),
+    "excluded contacts of what is part of a link": (EXCLUDED.replace(FINGERS, PADS), TOML),
+    "bodies without names": (MODEL.replace('name="l_1" ', ""), TOML.replace('"l_1", ', "")),
+    "only one digit": (MODEL, ONE_DIGIT),
+}
+CIRCLE = '<joint joint1="l_a" joint2="l_b"/><joint joint1="l_b" joint2="l_a"/>'
+CIRCLE = with_more(f"<equality>{CIRCLE}</equality>")
 NO_HANDS = [
     (MODEL, TOML.replace("[0, 0, -1]", "[0, 0, 1]"), r"palmar: .* did you mean \[0\.0, 0\.0, -1"),
     (MODEL, TOML.replace('"?_b" = 0.3', '"?_b" = 9.0'), "closed.l_b: found 9, allowed 0 to 1.5"),
@@ -299,12 +306,20 @@ NO_HANDS = [
     (with_more(servos(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""), "closed.l_b: .* drop all actuators"),
     (on_palm(BALL), TOML, "body 'pad': found ball joint '', allowed hinges"),
     (on_palm("<freejoint/>").replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \("),
-    (with_more('<equality><weld body1="no"/></equality>'), TOML, "found no body called 'no'"),
-    (with_more('<equality><weld site1="no" site2="no"/></equality>'), TOML, "no site called 'no'"),
+    (with_more('<equality><weld site1="a" site2="b"/></equality>'), TOML, "body of an equality: "),
+    (CIRCLE, TOML.replace("?", "r"), "couplings: found a circle: l_a follows l_b"),
 ]
 
 
 class TestModels:
+    @pytest.mark.parametrize("what", USUAL)
+    def test_a_hand_may_have(self, made, what):
+        hand = hands.get(made(*USUAL[what]))
+        assert not hand.notes
+        assert hand.actuated[3:] == ("l_a", "l_b", "r_a", "r_b")
+        built = hand.build()
+        assert not {"ball", "floor"} & {part.name for part in (*built.bodies, *built.geoms)}
+
     def test_what_is_fixed_to_a_link_is_the_link(self, made):
         pad = f'<body name="{{n}}_tip" pos="0.01 0 0">{TIP}</body>'
         box = '<geom type="box" size="0.005 0.008 0.006" pos="0.005 0 0"/>'
@@ -315,22 +330,6 @@ class TestModels:
             assert len(hand.surfaces[1].geoms) == 2
         assert hand.welded["l_tip"].link == "l_2"
 
-    def test_what_moves_freely_beside_the_hand_is_left_out(self, made):
-        hand = hands.get(made(MODEL.replace(FINGERS, FINGERS + FREE)))
-        assert not hand.notes
-        assert all(body.name != "ball" for body in hand.build().bodies)
-
-    def test_a_model_may_balance_its_inertias(self, made):
-        flat = '<inertial pos="0 0 0" mass="0.03" diaginertia="1e-5 1e-5 3e-5"/>'
-        model = MODEL.replace("<compiler ", '<compiler balanceinertia="true" ')
-        assert hands.get(made(model.replace(FINGERS, fingers(TIP + flat)))).notes == ()
-
-    def test_actuators_need_no_names(self, made):
-        unnamed = [servo.replace(f'name="{servo[16:19]}" ', "") for servo in ALL]
-        hand = hands.get(made(with_more(servos(*unnamed))))
-        assert hand.actuated[3:] == ("l_a", "l_b", "r_a", "r_b")
-        assert not hand.notes
-
     def test_slides_have_nothing_of_the_models_defaults(self, made):
         joint = '<joint limited="true" armature="5" frictionloss="9" stiffness="7"/>'
         default = f'<default><default class="g">{joint}</default></default><worldbody>'
@@ -339,38 +338,20 @@ class TestModels:
         slide = hand.build().compile().joint("slide_x")
         assert [*slide.limited, *slide.armature, *slide.frictionloss, *slide.stiffness] == [0] * 4
 
-    def test_what_is_excluded_from_contacts_may_be_fixed_to_a_link(self, made):
-        pad = f'<body name="{{n}}_tip">{TIP}</body>'
-        exclude = '<contact><exclude body1="l_tip" body2="palm"/></contact>'
-        model = with_more(exclude).replace(FINGERS, fingers(pad))
-        assert hands.get(made(model)).welded["l_tip"].link == "l_2"
-
     def test_what_a_model_says_about_the_world_is_left_out(self, made):
         world = (
             '<option gravity="0 0 9" density="9" wind="1 0 0" >'
             '<flag gravity="disable" contact="disable"/></option>'
-            '<size memory="20K"/><equality><weld body1="palm"/><weld site1="p" site2="w"/></equality>'
+            '<size memory="20K"/><equality><weld body1="palm"/></equality>'
         )
-        model = with_more(world).replace(PALM, PALM + '<site name="p"/>')
-        model = model.replace("<worldbody>", '<worldbody><site name="w"/>')
         usual, changed = (
             GraspEnv(path, setup(path, layout="5")).simulator.model
-            for path in (made(), made(model, name="tied.xml"))
+            for path in (made(), made(with_more(world), name="tied.xml"))
         )
         for name in ("gravity", "density", "wind", "disableflags", "enableflags"):
             assert np.all(getattr(changed.opt, name) == getattr(usual.opt, name)), name
         assert (changed.body_mass == usual.body_mass).all()
         assert (changed.neq, changed.nu, changed.narena) == (usual.neq, usual.nu, usual.narena)
-
-    def test_bodies_need_no_names_and_the_only_digit_may_be_a_thumb(self, made, simulator):
-        model = MODEL.replace('name="l_1" ', "").replace('name="r_1" ', "")
-        at_start(made(model, TOML.replace('"l_1", ', "").replace('"r_1", ', "")), simulator)
-        hands.get(made(toml=TOML.replace(TOML[TOML.index("index =") : TOML.index("[closed]")], "")))
-
-    def test_a_models_own_floor_is_left_out(self, made):
-        floor = '<worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 0.08"/>'
-        hand = hands.get(made(MODEL.replace("<worldbody>", floor)))
-        assert all(geom.name != "floor" for geom in hand.build().geoms)
 
     def test_a_palmar_side_follows_from_what_moves_the_link(self, made):
         hand = hands.get(made(toml=FOLLOWERS))  # nothing in [closed] bends the last links
@@ -442,7 +423,7 @@ class TestUrdf:
         (folder / "bone.obj").write_text("\n".join(lines) + "\n")
         hand = hands.get(path)
         assert hand.surfaces[0].geoms[0].kind == "mesh"
-        assert folder / "bone.obj" in hand.files
+        assert folder / "bone.obj" in hand.paths
         in_mm = urdf(f'<mesh filename="{place}" scale="1e3 1e3 1e3"/>')
         with pytest.raises(ValueError, match=r"found mesh .* m large: its file is in mm; say scale="):
             hands.get(made(in_mm, URDF, "hand.urdf"))
@@ -533,15 +514,6 @@ class TestSensors:
         for targets in grasp(env):
             env.step_to(targets)
         assert env.taxel_readings().tolist() == [1, 1, 0]
-
-    def test_points_on_a_part_of_a_link_are_on_the_link(self, made):
-        pad = '<body name="pad" pos="0.02 0 0" euler="0 1.5708 0"/>'
-        model = MODEL.replace(TIP, TIP + pad, 1)
-        point = taxel_files.Point("pad", (-0.008, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.002, "p")
-        taxels = layouts.Layout("own", "", (), (point,)).place(hands.get(made(model)))
-        assert taxels.links == ("l_2",)
-        np.testing.assert_allclose(taxels.positions, [[0.02, 0, 0.008]], atol=1e-5)
-        np.testing.assert_allclose(taxels.normals, [[0, 0, 1]], atol=1e-5)
 
 
 def test_thresholds_grow_with_the_hand(made):

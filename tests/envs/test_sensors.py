@@ -43,12 +43,9 @@ def test_a_file_is_read_in_si_units_and_what_it_lacks_is_unknown(tmp_path):
         ("threshold = 0.1", r"sensor.threshold: unknown; did you mean threshold_N\?"),
         ("radius_mm = -1", r"sensor.radius_mm: found -1.0, allowed \[0.1, 20\]"),
         ("threshold_N = nan", "sensor.threshold_N: found nan, allowed"),
-        ("delay_ms = '20'", "sensor.delay_ms: found '20', allowed a number or None"),
         ("threshold_N = 0.1\nrelease_N = 0.2", "release_N: found 0.2, allowed up to threshold_N, 0.1"),
-        ("release_N = 0.2", "release_N: found 0.2, allowed up to threshold_N, 0.0"),
         ("dead =", "not valid TOML"),
         ("[cost]\nboard = 40", "cost.each: found None, allowed a number"),
-        ("[cost]\neach = 1\nchannels = 0", r"cost.channels: found 0, allowed \[1, 100000\]"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(tmp_path, content, said):
@@ -61,12 +58,8 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path, content, said):
 
 
 def test_other_names_and_files_are_refused(tmp_path):
-    with pytest.raises(
-        ValueError, match=r"found 'fsr2', did you mean fsr\? allowed: biotac, .*, FILE\.toml"
-    ):
+    with pytest.raises(ValueError, match=r"found 'fsr2', did you mean fsr\? .*, FILE\.toml"):
         sensors.load("fsr2")
-    with pytest.raises(FileNotFoundError, match=r"sensor file 'none\.toml' does not exist"):
-        sensors.load("none.toml")
     (tmp_path / "empty.toml").write_text("")
     with pytest.raises(ValueError, match="sensor: found None, allowed a table"):
         sensors.load(tmp_path / "empty.toml")
@@ -77,22 +70,16 @@ def taxels(config):
 
 
 USUAL = taxels(GraspConfig())
+FSR = {"taxel_saturates": 20.0, "taxel_gain_spread": 0.06, "taxel_radius": 0.00381}
 
 
 @pytest.mark.parametrize(
     ("choices", "expected"),
     [
-        ({"sensor": "fsr"}, {"taxel_threshold": 0.2, "taxel_radius": 0.00381}),
         ({"sensor": "fsr", "taxel_threshold": 0.0}, {"taxel_threshold": 0.0, "taxel_radius": 0.00381}),
-        (
-            {"sensor": "fsr", "touch_rule": "force"},
-            {"taxel_saturates": 20.0, "taxel_gain_spread": 0.06, "taxel_radius": 0.00381},
-        ),
-        ({"sensor": "fsr", "touch_rule": "contact"}, {"taxel_radius": 0.00381}),
+        ({"sensor": "fsr", "touch_rule": "force"}, FSR),
         ({"sensor": "fsr", "touch": "off"}, {}),
         ({"sensor": "biotac", "control_dt": 0.004}, {"taxel_delay": 2}),
-        ({"sensor": "biotac", "control_dt": 0.02}, {"taxel_delay": 0}),
-        ({"sensor": "tactile_genesis"}, {"taxel_dead": 0.05}),
         ({"sensor": "tactile_genesis", "taxel_dead": 0.0}, {"taxel_dead": 0.0}),
     ],
 )

@@ -73,7 +73,7 @@ class TestKinematics:
             index, body = bullet._links[name], mj.model.body(name).id
             info = pybullet.getDynamicsInfo(bullet.hand, index, physicsClientId=bullet.client)
             assert info[0] == pytest.approx(mj.model.body_mass[body], rel=1e-12)
-            expected = mj.model.body_inertia[body] + mj.scene.hand.added_inertia
+            expected = mj.model.body_inertia[body] + mj.scene.hand.file.added_inertia
             np.testing.assert_allclose(info[2], expected, rtol=1e-6)
         for name in mj.scene.hand.joints[3:]:
             info = pybullet.getJointInfo(

@@ -1,9 +1,8 @@
-"""A policy leaves the library: as a graph that does what it does, and as a record of what it did."""
+"""Policies leave the library: shipped ones, as a graph that does what they do, as a record of that."""
 
 import csv
 import json
 from contextlib import closing
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,22 +10,20 @@ import pytest
 from tactilerl.commands.cli import main
 from tactilerl.runs import policies
 
-from one_line import fails_with, printed, python
+from one_line import TOY, fails_with, printed, python
 
 ROOT = Path(__file__).resolve().parents[2]
-HANDOVER = ROOT / "examples/policies/handover_touch"
+POLICIES = ROOT / "examples/policies"
+HANDOVER = POLICIES / "handover_touch"
+RATES = {"handover_touch": (0.7, 1.0), "handover_no_touch": (0.0, 0.5), "shadow_lift": (0.5, 1.0)}
 PPO = ["--hidden", "16", "--steps-per-epoch", "20", "--n-passes", "1"]
 HER = ["--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "1", "--n-batches", "2"]
 HER += ["--n-test-rollouts", "0", "--batch-size", "32"]
 ONE = ["--simulator", "mujoco", "--total-timesteps", "20"]
 SHORT = ["--max-episode-steps", "5"]
-GOALS = ["--task", "reach-goal"]
 RUNS = {
-    "lift": ["--env", "shadow", "--layout", "4", *PPO, *SHORT],
     "slides and fingers": ["--env", "mpl", "--recipe", "robust", "--touch-rule", "force", *PPO, *SHORT],
-    "fingers": ["--scene", "handover", "--actions", "fingers", "--recipe", "steady", *PPO],
-    "goals": [*GOALS, "--observe-targets", "--history", "3", *HER, *SHORT],
-    "scaled": [*GOALS, "--env", "mpl", "--recipe", "scaled", *HER, *SHORT],
+    "goals": ["--task", "reach-goal", "--observe-targets", "--history", "3", *HER, *SHORT],
 }
 pytestmark = pytest.mark.usefixtures("in_tmp")
 
@@ -43,26 +40,16 @@ def opened(run, out):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A function that returns the folder of a run by its name."""
-
-    @cache
-    def made(name):
-        out = tmp_path_factory.mktemp("runs") / "run"
-        assert main(["train", *RUNS[name], *ONE, "--out", str(out)]) == 0
-        return out
-
-    return made
+    """The folders of the runs, by name."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name, flags in RUNS.items():
+        assert main(["train", *flags, *ONE, "--out", str(folder / name)]) == 0
+    return {"shipped": HANDOVER} | {name: folder / name for name in RUNS}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("lift", "slides and fingers", "goals", "shipped"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("fingers", "scaled")),
-    ],
-)
+@pytest.mark.parametrize("name", [*RUNS, "shipped"])
 def test_the_graph_does_what_the_policy_does(name, made, tmp_path):
-    run = HANDOVER if name == "shipped" else made(name)
+    run = made[name]
     session, about = opened(run, tmp_path / "policy.onnx")
     trained = policies.read_run(run)
     lowest, highest = np.array([*about["targets"].values()]).T
@@ -106,13 +93,13 @@ def test_the_control_loop_moves_a_hand_behind_a_socket(tmp_path):
     assert done.stdout.split("\n")[-2:] == ["success", ""], done.stderr
 
 
-@pytest.mark.parametrize("name", ["slides and fingers", "goals"])
+@pytest.mark.parametrize("name", RUNS)
 def test_a_record_has_every_step_in_named_columns(name, made, capsys):
-    args = ["evaluate", made(name), "--episodes", "2", "--workers", "1", "--json"]
+    args = ["evaluate", made[name], "--episodes", "2", "--workers", "1", "--json"]
     each = json.loads(printed(capsys, [*args, "--record", "steps.csv"]))["each"]
     rows = [*csv.DictReader(Path("steps.csv").read_text().splitlines())]
     assert len(rows) == sum(episode["length"] for episode in each)
-    trained = policies.read_run(made(name))
+    trained = policies.read_run(made[name])
     with closing(trained.config.make_env()) as env:
         for episode in each:
             mine = [row for row in rows if row["episode_index"] == str(episode["episode"])]
@@ -137,7 +124,6 @@ def test_a_record_has_every_step_in_named_columns(name, made, capsys):
     [
         (["export", HANDOVER, "--out", "x.pb"], ["found 'x.pb'", ".onnx"]),
         (["export", HANDOVER, "--out", "no/x.onnx"], ["found no folder 'no'"]),
-        (["export", "nowhere", "--out", "x.onnx"], ["'nowhere' is not a run folder"]),
         (["export", "begun", "--out", "x.onnx"], ["checkpoint.pt: missing"]),
         (["export", "toy", "--out", "x.onnx"], ["LQREnv", "allowed runs of hands"]),
         (["evaluate", HANDOVER, "--record", "x.xls"], ["found 'x.xls'", ".csv"]),
@@ -152,7 +138,18 @@ def test_bad_input_is_one_line_and_nothing_is_written(args, words, toy, capsys):
 @pytest.fixture
 def toy():
     """A run that is not of a hand, and one that was killed before its first checkpoint."""
-    toy = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
-    assert main([*toy, "--total-timesteps", "60", "--out", "toy"]) == 0
+    assert main([*TOY, "--total-timesteps", "60", "--out", "toy"]) == 0
     Path("begun").mkdir()
     Path("begun/config.json").write_bytes((HANDOVER / "config.json").read_bytes())
+
+
+def test_every_policy_is_evaluated_and_all_are_small():
+    assert {path.name for path in POLICIES.iterdir()} == set(RATES)
+    assert sum(path.stat().st_size for path in POLICIES.rglob("*") if path.is_file()) < 3e6
+
+
+@pytest.mark.parametrize("name", RATES)
+def test_shipped_policies_succeed_as_they_did(name, capsys):
+    evaluate = ["evaluate", POLICIES / name, "--episodes", "4", "--workers", "2", "--json"]
+    low, high = RATES[name]
+    assert low <= json.loads(printed(capsys, evaluate))["success_rate"] <= high

@@ -8,10 +8,10 @@ import pytest
 import tactilerl
 from tactilerl.commands.cli import main
 
+from one_line import TOY
 from study_records import make_study
 from tiny_study import TINY
 
-TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 HAND = ["train", "--algo", "ppo", "--env", "mpl", "--simulator", "mujoco", "--task", "reach-goal"]
 HAND += ["--max-episode-steps", "1", "--hidden", "8", "--steps-per-epoch", "2", "--n-passes", "1"]
 
@@ -19,7 +19,7 @@ HAND += ["--max-episode-steps", "1", "--hidden", "8", "--steps-per-epoch", "2", 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
-    assert main([*TRAIN, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
+    assert main([*TOY, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
     assert main([*HAND, "--total-timesteps", "1", "--out", str(folder / "hand")]) == 0
     make_study(folder / "study", TINY)
     return folder
@@ -33,17 +33,14 @@ def here(made, in_tmp):
 
 DESIGN = ["design", "--scene", "handover_anywhere", "--taxels", "1", "--skin", "20mm", "--beside", "2"]
 DESIGN += ["--starts", "1", "--test-starts", "2", "--workers", "1"]
-# What it writes, and how; a folder's first file says whose the folder is.
-WRITERS = {
-    "design/design.json": lambda name, *more: main([*DESIGN, "--out", "design", *more]),
-    "x.tar.gz": lambda name, *more: main(["study", "collect", "study", "--out", name, *more]),
-    "x.png": lambda name, *more: main(["render", "--pose", "start", "--out", name, *more]),
-    "x.mp4": lambda name, *more: main(["render", "hand", "--episodes", "1", "--video", name, *more]),
-    "x.csv": lambda name, *more: main(["evaluate", "hand", "--episodes", "1", "--record", name, *more]),
-    "x.onnx": lambda name, *more: main(["export", "hand", "--out", name, *more]),
-    "report/report.html": lambda name, *more: main(
-        ["study", "report", "study", "--out", "report", *more]
-    ),
+WRITERS = {  # what it writes, and how; a folder's first file says whose the folder is
+    "design/design.json": [*DESIGN, "--out", "design"],
+    "x.tar.gz": ["study", "collect", "study", "--out", "x.tar.gz"],
+    "x.png": ["render", "--pose", "start", "--out", "x.png"],
+    "x.mp4": ["render", "hand", "--episodes", "1", "--video", "x.mp4"],
+    "x.csv": ["evaluate", "hand", "--episodes", "1", "--record", "x.csv"],
+    "x.onnx": ["export", "hand", "--out", "x.onnx"],
+    "report/report.html": ["study", "report", "study", "--out", "report"],
 }
 
 
@@ -59,13 +56,13 @@ def test_what_exists_stays_unless_it_is_to_be_overwritten(name, capsys):
     ):
         put()
         before = path.lstat()
-        assert WRITERS[name](name, *flags) == 2
+        assert main([*WRITERS[name], *flags]) == 2
         assert path.lstat()[:7] == before[:7]
         assert [*path.parent.glob(".lock")] == []
         path.unlink()
     assert Path("victim").read_text() == "mine"
     path.write_text("mine")
-    assert WRITERS[name](name, "--overwrite") == 0
+    assert main([*WRITERS[name], "--overwrite"]) == 0
     assert path.read_bytes() != b"mine"
 
 

@@ -23,7 +23,6 @@ needs_jobqueue = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="
 # One run, since each of its processes imports PyTorch for seconds.
 LONG = TINY.replace("= 200", "= 2000").replace("[0.9, 0.95]", "0.9")
 LONG = LONG.replace("[compare]\npolyak = [0.95, 0.9]\n", "")
-PATIENCE = 900  # s
 
 
 def test_a_study_on_dask_learns_what_it_learns_here(tmp_path, trained_here):
@@ -38,50 +37,28 @@ def test_a_study_on_dask_learns_what_it_learns_here(tmp_path, trained_here):
     assert learned(out) == learned(trained(tmp_path / "local"))
 
 
-def study_whose_worker_is_killed(tmp_path):
-    """Exit code and folder of a study of one run, whose only Dask worker is killed in its midst."""
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
     import distributed
 
+    out = tmp_path / "out"
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        out, (worker,) = tmp_path / "out", cluster.workers.values()
+        (worker,) = cluster.workers.values()
         killed = worker.pid
 
         def kill():
-            until = time.monotonic() + PATIENCE
             while not any(p.stat().st_size > 500 for p in out.glob("runs/*/progress.csv")):
-                if time.monotonic() > until:
-                    return
                 time.sleep(0.02)
             os.kill(killed, signal.SIGKILL)
 
-        killer = threading.Thread(target=kill)
-        killer.start()
+        threading.Thread(target=kill, daemon=True).start()
         on = f"dask:{cluster.scheduler_address}"
-        code = main(["study", "run", str(write(tmp_path, LONG)), "--out", str(out), "--on", on])
-        killer.join()
+        assert main(["study", "run", str(write(tmp_path, LONG)), "--out", str(out), "--on", on]) == 0
         assert killed not in [worker.pid for worker in cluster.workers.values()]
-    return code, out
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_killed_costs_no_bit(tmp_path):
-    code, out = study_whose_worker_is_killed(tmp_path)
-    assert code == 0
     (tmp_path / "local").mkdir()
     assert learned(out) == learned(trained(tmp_path / "local", LONG))
     (log,) = out.glob("runs/*.log")
     assert log.read_text().count("resumed") == 1
-
-
-@pytest.mark.slow
-def test_a_run_that_dask_gives_up_has_failed_and_does_not_end_the_study(tmp_path):
-    import dask
-
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-        code, out = study_whose_worker_is_killed(tmp_path)
-    assert code == 1
-    (told,) = out.glob("runs/*.json")
-    assert json.loads(told.read_text())["reason"].startswith("not run: ")
 
 
 def test_no_scheduler_there(tmp_path, capsys):
@@ -108,20 +85,18 @@ def test_a_scheduler_that_dies(tmp_path, capfd):
     address, out = json.loads((tmp_path / "where.json").read_text())["address"], tmp_path / "out"
 
     def kill():
-        while not (out / "study.json").exists() and scheduler.poll() is None:
+        while not (out / "study.json").exists():
             time.sleep(0.1)
         time.sleep(1.0)  # so that its jobs are there
         scheduler.kill()
 
-    killer = threading.Thread(target=kill)
-    killer.start()
+    threading.Thread(target=kill, daemon=True).start()
     args = ["study", "run", str(write(tmp_path)), "--out", str(out), "--on", f"dask:{address}"]
     try:
         with dask.config.set({"distributed.comm.timeouts.connect": "2s"}):
             assert main(args) == 1
     finally:
         scheduler.kill()
-        killer.join()
         scheduler.wait()
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith(f"tactilerl: stopped: --on dask:{address}: Dask's scheduler has gone")

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-from tactilerl.errors import InputError
 from tactilerl.study import grid
 
 from one_line import fails_with
@@ -40,19 +39,11 @@ class TestGrid:
         assert (ppo.exploration, ppo.hidden, ppo.n_passes) == ("learned", (16, 16), 4)
 
     def test_dictionary_and_back(self, tmp_path):
-        study = read(tmp_path, GOOD)
-        data = study.as_dict()
-        assert grid.from_dict(data) == study
-        assert study.score == "area"
-        head = 'score = "last"\n'
-        decided = read(tmp_path, head + GOOD[: GOOD.index("[setups.ppo]")])
-        assert grid.from_dict(json.loads(json.dumps(decided.as_dict()))) == decided
-        assert decided.score == "last"
-        old = {
-            "name": "x",
-            "setups": data["setups"],
-            "primary": {"score": "final"},
-        }  # as 0.5.0 wrote it
+        decided = read(tmp_path, 'score = "last"\n' + GOOD[: GOOD.index("[setups.ppo]")])
+        data = json.loads(json.dumps(decided.as_dict()))
+        assert grid.from_dict(data) == decided
+        assert (read(tmp_path, GOOD).score, decided.score) == ("area", "last")
+        old = {"name": "x", "setups": data["setups"], "primary": {"score": "final"}}  # of 0.5.0
         assert grid.from_dict(old).score == "last"
 
     @pytest.mark.parametrize("name", sorted(path.stem for path in ROOT.glob("studies/*.toml")))
@@ -72,23 +63,16 @@ class TestBadFiles:
             ('name = "toy"', "name = ", ["not valid TOML", "line 2"]),
             ('name = "toy"', 'name = "toy"\ngird = 1', ["gird: unknown; did you mean grid?"]),
             ('name = "toy"', 'name = "toy"\nscore = "best"', ["score: found 'best'", "area, last"]),
-            (SIZES, "batch_size = []", ["setups.reach: batch_size: found no values"]),
             (SIZES, "batch_size = [16, 16]", ["2 runs would be called"]),
             (SIZES, "batch-size = [16, 32]", ["batch-size: unknown; did you mean batch_size?"]),
             (SIZES, "batch_size = [16, 0]", ["batch_size-0", "batch_size: found 0"]),
             (SIZES, "workers = [1, 2]", ["setups.reach: workers", "leave it out"]),
             ('"0-1, 7"', '"0-1, x"', ["seed: found ' x', expected numbers and ranges"]),
-            ('"0-1, 7"', '"0-3,2"', ["2 runs would be called"]),
-            ('"0-1, 7"', "[4294967296]", ["seed", "4294967296"]),
             ("polyak = [0.95, 0.9]", "polyak = [0.95, 0.8]", ["compare: polyak", "0.8"]),
-            ("polyak = [0.95, 0.9]", "polyak = [0.9, 0.9]", ["compare", "[0.9, 0.9]", "treatment"]),
             ("polyak = [0.95, 0.9]", "layout = [1, 2]", ["compare: found 'layout'", "batch_size"]),
-            ("polyak = [0.95, 0.9]", "polyak = 0.9", ["compare", "touch"]),
             ('algo = "ddpg_her"', 'algo = "ddpg_her"\npolyak = 0.9', ["polyak", "and in the grid"]),
             ('algo = "ddpg_her"', 'algo = "ddpg_her"\nseed = 3', ["setups.reach: seed", "grid"]),
             ('"test_success_rate"', '"mean_return"', ["measure", "mean_return", "success_rate"]),
-            ("[setups.reach]", "[setups.'../../pwn']", ["setups.../../pwn", "word"]),
-            (SIZES, "batch_size = [{a = 1}]", ["batch_size", "a table"]),
         ],
     )  # fmt: skip
     def test_one_line_and_nothing_begun(self, tmp_path, capsys, old, new, words):
@@ -97,20 +81,8 @@ class TestBadFiles:
         fails_with(capsys, ["study", "run", file, "--out", tmp_path / "out"], *words)
         assert not (tmp_path / "out").exists()
 
-    @pytest.mark.parametrize("where", ["file/out", "/dev/null/out"])
-    def test_a_folder_that_cannot_be_made(self, tmp_path, capsys, where, in_tmp):
-        Path("file").touch()
-        text = 'name = "x"\n[setups.x]\nenv = "lqr"\nhidden = [8]\n'
-        fails_with(capsys, ["study", "run", write(tmp_path, text), "--out", where], "cannot write")
-
-    def test_no_file_and_colliding_names(self, tmp_path):
-        with pytest.raises(InputError, match="does not exist"):
-            grid.read(tmp_path / "none.toml")
-        with pytest.raises(InputError, match="would be called"):
-            read(tmp_path, 'name = "x"\n[grid]\nlayout = ["a/b", "a b"]\n[setups.x]')
-
-    @pytest.mark.parametrize("flag", ["--jobs", "--ranks-per-run"])
-    def test_bad_flags(self, tmp_path, capsys, flag):
-        field = flag[2:].replace("-", "_")
-        args = ["study", "run", write(tmp_path, GOOD), flag, 0]
-        fails_with(capsys, args, f"{field}: found 0")
+    def test_what_cannot_be_read_or_made(self, tmp_path, capsys, in_tmp):
+        fails_with(capsys, ["study", "run", tmp_path / "none.toml"], "does not exist")
+        study = write(tmp_path, 'name = "x"\n[setups.x]\nenv = "lqr"\nhidden = [8]\n')
+        fails_with(capsys, ["study", "run", study, "--out", study / "out"], "cannot write")
+        fails_with(capsys, ["study", "run", study, "--jobs", 0], "jobs: found 0")

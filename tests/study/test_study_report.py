@@ -6,21 +6,19 @@ import json
 import re
 import shutil
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from tactilerl import study as package
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, records, report
-from tactilerl.study.grid import Contrast
+from tactilerl.study.grid import Contrast, Run, Setup
 from tactilerl.study.records import StudyFiles
 
 from browser import Browser, needs_chromium
 from one_line import fails_with, printed
 from study_records import PAPER_LIKE, fail, interrupt, make_study
 
-ROOT = Path(__file__).parents[2]
 LOADED = """new Promise((go) => {
     const isThere = () => document.readyState === "complete" && document.title;
     const wait = () => isThere() ? go() : setTimeout(wait, 50);
@@ -58,36 +56,19 @@ def reported(capsys, path):
     return printed(capsys, ["study", "report", path, "--overwrite"])
 
 
-def parts(result, kind):
-    return [p for *_, parts in report.sections(result) for p in parts if isinstance(p, kind)]
-
-
-def rows(result, name):
-    return next(t for t in parts(result, report.Table) if t.name == name).rows
-
-
 def by_seed(group, score):
     return {seed: reached[score] for seed, reached in group.reached.items()}
 
 
 class TestNumbers:
-    @pytest.mark.slow
-    def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path, result):
-        assert rows(result, "pybullet_measures")[0]["Tested success"].startswith("–")
+    def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path):
         folder = make_study(tmp_path / "s", 'score = "test"\n' + PAPER_LIKE, n_seeds=2)
-        runs = [run for run in folder.study().runs() if run.setup == "pybullet"]
-        for run in runs[1:]:  # the first was made without
-            table = folder.run_dir(run).table
-            header, *lines = table.read_text().splitlines()
-            lines = [f"{line}," for line in lines[:-1]] + [f"{lines[-1]},0.{4 + (run.group == 'on')}"]
-            table.write_text("\n".join([f"{header},final_test_success_rate", *lines, ""]))
-        tested = analysis.analyse(*records.load(folder.path))
-        cells = [row["Tested success"] for row in rows(tested, "pybullet_measures")]
-        assert cells[1:3] == ["0.40 [0.40, 0.40]", "0.50 [0.50, 0.50]"]
-        assert cells[0].startswith("–")
-        assert rows(tested, "pybullet_comparisons")[0]["Pairs"] == "1 of 2"
-        assert rows(tested, "pybullet_comparisons")[1]["Tested success"].startswith("0.100")
-        assert [row["Tested success"] for row in rows(tested, "runs")[:2]] == ["–", "0.40"]
+        study, runs = records.load(folder.path)
+        one = analysis.analyse(study, runs, 100).setups[0]
+        on, off = (by_seed(one.groups["layout 1", touch], "test") for touch in ("on", "off"))
+        assert on[0] == float(runs[0].rows[-1]["final_test_success_rate"])
+        gap = np.mean([on[seed] - off[seed] for seed in (0, 1)])
+        assert one.pairs["layout 1"].difference.value == pytest.approx(gap)
 
     def test_runs_of_the_same_seed_are_compared_by_their_areas(self, result):
         one = result.setups[0]
@@ -135,13 +116,12 @@ class TestFiles:
     def test_nobody_learns_from_a_collected_study_where_it_was_made(self, folder, tmp_path):
         copy = tmp_path / "secret"
         shutil.copytree(folder.path, copy)
-        runs = folder.study().runs()
-        for run in runs:
-            file = StudyFiles(copy).run_dir(run).config_file
-            data = json.loads(file.read_text())
-            data["run"]["out"] = str(file.parent)
-            file.write_text(json.dumps(data))
-        fail(StudyFiles(copy), runs[0], "checkpoint.pt: damaged")
+        run = folder.study().runs()[0]
+        file = StudyFiles(copy).run_dir(run).config_file
+        data = json.loads(file.read_text())
+        data["run"]["out"] = str(file.parent)
+        file.write_text(json.dumps(data))
+        fail(StudyFiles(copy), run, "checkpoint.pt: damaged")
         path = tmp_path / "c.tar.gz"
         records.collect(copy, path)
         assert "secret" not in gzip.decompress(path.read_bytes()).decode()
@@ -167,12 +147,6 @@ class TestWarnings:
         assert "interrupted" in rows[2]
         assert f"runs/{runs[4].name}: damaged" in rows[5]
 
-    def test_a_row_that_was_cut_off_is_left_out(self, tmp_path):
-        folder = make_study(tmp_path / "s", n_seeds=1)
-        file = folder.run_dir(folder.study().runs()[0]).table
-        file.write_text(file.read_text() + "26,30000,0.5")
-        assert [len(record.rows) for record in records.load(folder.path)[1]] == [25] * 12
-
     def test_what_is_no_number_costs_a_line(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=1)
         run = folder.study().runs()[0]
@@ -191,20 +165,10 @@ class TestWarnings:
 
     def test_what_is_no_study(self, folder, tmp_path, capsys):
         fails_with(capsys, ["study", "report", tmp_path], "no study.json")
-        fails_with(capsys, ["study", "report", "/dev/null"], "no study.json")
-        fails_with(capsys, ["study", "collect", tmp_path / ("x" * 300)], "xxx")
         (tmp_path / "mine").write_text("")
         fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
-        old = tmp_path / "old.tar.gz"  # of 0.3.0
-        old.write_bytes(gzip.compress(b"run,state,reason,record\n"))
-        fails_with(capsys, ["study", "status", old], "not a collected study")
-
-    @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}'])
-    def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
-        (tmp_path / "study.json").write_bytes(content)
-        (tmp_path / "c.tar.gz").write_bytes(content)
-        for path in (tmp_path, tmp_path / "c.tar.gz"):
-            fails_with(capsys, ["study", "report", path], str(path))
+        (tmp_path / "study.json").write_text("{")
+        fails_with(capsys, ["study", "report", tmp_path], str(tmp_path))
 
     def test_a_missing_extra_is_named(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setitem(sys.modules, "jinja2", None)
@@ -214,25 +178,11 @@ class TestWarnings:
 
 
 class TestForReaders:
-    def test_p_is_corrected_once(self, written):
-        table = (written.parent / "tables/pybullet_comparisons.csv").read_text().splitlines()
-        assert table[0] == "Setting,Pairs,Mean success,p"
-
-    def test_a_figure_has_one_title_and_the_colour_of_touch_wherever_it_stands(self, written, result):
-        text = written.read_text()
-        for picture in parts(result, report.Picture):
-            assert text.count(f"<figcaption>{picture.title}</figcaption>") == 1
-            assert b"Learning curves" not in picture.svg
+    def test_a_group_has_the_colour_of_its_touch_wherever_it_stands(self, result):
         setup = result.setups[0].setup
-        swapped = dataclasses.replace(
-            setup, compare=dataclasses.replace(setup.compare, treatment="off", control="on")
-        )
+        swapped = dataclasses.replace(setup, compare=Contrast("touch", "off", "on"))
         assert swapped.groups == ["off", "on"]
         assert figures.colours(swapped) == figures.colours(setup)
-        polyak = dataclasses.replace(
-            setup, compare=Contrast("polyak", "0.9", "0.95"), grid={"polyak": [0.9, 0.95]}
-        )
-        assert not {*figures.colours(polyak).values()} & {*figures.colours(setup).values()}
 
     @needs_chromium
     def test_no_word_of_a_report_is_wider_than_a_phone(self, tmp_path):
@@ -243,3 +193,61 @@ class TestForReaders:
             assert browser.run("document.documentElement.scrollWidth") <= 320
         finally:
             browser.close()
+
+
+class TestAnswers:
+    grid, contrast = {"layout": [1, 2], "touch": ["on", "off"]}, Contrast("touch", "on", "off")
+    setup = Setup("one", {}, grid, [*range(12)], contrast, "success_rate")
+
+    def said(self, gap, p_holm, n=9, score="area"):
+        difference = analysis.Estimate(*gap)
+        pairs = analysis.Pairs([*range(n)], np.ones(n), np.zeros(n), difference, p_holm, p_holm)
+        return report.answer(self.setup, "layout 2", pairs, score)
+
+    @pytest.mark.parametrize(
+        ("gap", "p", "n", "words"),
+        [
+            ((0.1, 0.02, 0.2), 0.02, 9, "touch raised mean success (touch − no touch: +0.10, 95 %"),
+            ((-0.1, -0.2, 0.01), 0.04, 9, "touch lowered mean success (touch − no touch: −0.10, 95 %"),
+            ((0.1, -0.02, 0.2), 0.2, 9, "no significant difference in mean success"),
+            ((0.1, -0.02, 0.2), 0.2, 6, "too few runs to find a difference, which takes 7 pairs"),
+        ],
+    )
+    def test_each_kind_of_answer(self, gap, p, n, words):
+        said = self.said(gap, p, n)
+        assert said.startswith(f"one, layout 2: {words}")
+        assert said.endswith(f"p = {p:.3f}, {n} of 12 pairs).")
+
+    def test_a_bound_below_zero_keeps_its_sign(self):
+        assert "−0.02 to +0.20, p < 0.001" in self.said((0.1, -0.02, 0.2), 1e-4, score="last")
+
+
+class TestCommonRange:
+    """Runs that are compared are scored over the steps that all of them have."""
+
+    def record(self, steps, rates, seed=0):
+        run = Run(f"r{seed}", "one", "all", "on", seed, "success_rate", {})
+        points = zip(steps, rates, strict=True)
+        rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
+        return records.Record(run, "done", "", {}, rows)
+
+    def test_it_begins_and_ends_where_all_have_a_rate(self):
+        long = self.record([0, 10, 20, 30, 40], [0, 0, 0.5, 1, 1])
+        short = self.record([5, 15, 25], [0.2, 0.4, 0.6])
+        assert analysis.span([long, short]) == (5, 25)
+        ((area,), (other,)) = (list(x.values()) for x in analysis.scored("area", [long], [short]))
+        # From 5 to 25: 0 up to 10, then up to 0.5 at 20, and 0.75 at 25.
+        assert area == pytest.approx((0 + 0.25 * 10 + 0.625 * 5) / 20)
+        assert other == pytest.approx(0.4)
+
+    def test_what_comes_after_does_not_count(self):
+        steps = np.arange(0, 50, 10)
+        same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
+        short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
+        for score in ("area", "last", "converged"):
+            a, b = (analysis.scored(score, [one], [short]) for one in same)
+            assert a[0][1] == b[0][1] == a[1][2]
+
+    def test_runs_without_a_common_step_are_taken_at_their_ends(self):
+        one, other = self.record([10], [0.3]), self.record([20], [0.6], 1)
+        assert analysis.scored("area", [one], [other]) == [{0: 0.3}, {1: 0.6}]
