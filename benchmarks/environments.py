@@ -138,7 +138,7 @@ def shipped_sensors() -> None:
     }
     rows = []
     for sensor in map(sensors.load, sensors.names()):
-        known = [(getattr(sensor, field), scale) for field, scale in numbers.values()]
+        known = [(sensor.numbers.get(f"taxel_{field}"), x) for field, x in numbers.values()]
         cells = ["" if value is None else f"{scale * value:.3g}" for value, scale in known]
         rows.append((f"`{sensor.name}`", sensor.about, *cells))
     _table(("name", "sensor", *numbers), rows)

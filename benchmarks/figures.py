@@ -13,12 +13,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 from tactilerl.envs import hands, layouts, scenes
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Camera
 from tactilerl.files import replacing
 from tactilerl.pictures import render
-from tactilerl.pictures.hand_map import TaxelMap, save_picture
+from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.study.analysis import analyse
 from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, STYLE
@@ -79,7 +80,7 @@ def handover(name: str) -> None:
         middle = (state.palm + state.object_position) / 2
         picture = env.picture(Camera(azimuth=0.0, elevation=-8.0, lookat=tuple(middle.tolist())))
         with replacing(IMAGES / f"{name}.png") as file:
-            save_picture(picture, file, ".png")
+            Image.fromarray(picture).save(file, "PNG")
 
 
 def save(figure: plt.Figure, name: str) -> None:

@@ -56,8 +56,9 @@ def make(
         return _make_grasp(name, render_mode, choices)
     if render_mode is not None:
         choices["render_mode"] = render_mode
-    if ":" in name:  # "my_module:MyEnv-v0"
-        plugins.look_here()
+    module, colon, _ = name.partition(":")
+    if colon:  # "my_module:MyEnv-v0"
+        plugins.import_modules([module])
     try:
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:

@@ -20,7 +20,8 @@ imported: list[str] = []
 
 def import_modules(names: Iterable[str]) -> None:
     """Import modules, from the current folder too; ValueError where one cannot be."""
-    look_here()
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # as by `python -m`
     for name in names:
         try:
             import_module(name)
@@ -30,12 +31,6 @@ def import_modules(names: Iterable[str]) -> None:
             ) from error
         if name not in imported:
             imported.append(name)
-
-
-def look_here() -> None:
-    """Let modules be found in the current folder too, as by `python -m`."""
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
 
 
 def require_class(

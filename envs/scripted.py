@@ -1,13 +1,13 @@
-"""Perform open-loop grasps: approach, close, lift, hold.
+"""Play without a policy: open-loop grasps (approach, close, lift, hold), and hands that stand still.
 
 The check of taxels, the pictures and the benchmarks use them when no policy should be involved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ PERIODS = (0.04, 0.05)
 APPROACH, CLOSE, LIFT = 0.4, 0.8, 1.0  # s
 LIFT_HEIGHT = 0.15  # m
 FALLEN = 0.1  # m below where it was at the beginning of the hold
+N_STILL = 4  # episodes in which a hand stands still
 
 
 class Offsets(NamedTuple):
@@ -115,3 +116,24 @@ def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     return min(
         env.hand.grasps, key=lambda grasp: abs(grasp.object_size - env.shape.width)
     )
+
+
+def stand_still(env: Any, number: int, is_wanted: Callable[[], bool]) -> bool:
+    """Play an episode of a grasp in which no joint is told to move; return whether it succeeds."""
+    grasp, is_over, info = env.unwrapped, False, {}
+    grasp.reset(seed=number)
+    while not is_over:
+        *_, terminated, truncated, info = grasp.step_to(grasp.state.targets)
+        is_over = terminated or truncated
+    return bool(info.get("is_success", False))
+
+
+def notes_of_standing_still(play: Callable[..., Iterator[bool]]) -> list[str]:
+    """Return a sentence where standing still already reaches the goal, from a few starts."""
+    reached = sum(play(stand_still, range(N_STILL)))
+    if not reached:
+        return []
+    return [
+        f"a hand that stands still reaches the goal in {reached} of {N_STILL} episodes: success says "
+        "little about what is learned (see --goal-height, --goal-tolerance)"
+    ]

@@ -2,9 +2,9 @@
 
 import sys
 
-from .terminal import interrupts
+from .errors import leave_at_once
 
-interrupts.leave_at_once()
+leave_at_once()
 
 from .commands.cli import main  # noqa: E402
 

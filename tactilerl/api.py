@@ -118,10 +118,8 @@ class Learner:
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         events = None if tensorboard is None else Path(tensorboard)
-        with (
-            _one_thread(),
-            EpochLog(learner, self._comm, events, is_quiet=not progress) as log,
-        ):
+        log = EpochLog(learner, self._comm, events, is_quiet=not progress)
+        with _one_thread():
             if not self._epoch:
                 learner.check()
             for row in training.epochs(learner, self._epoch):

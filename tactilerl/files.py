@@ -57,15 +57,19 @@ def as_json(data: Any) -> bytes:
     return (json.dumps(data, indent=1) + "\n").encode()
 
 
-def require_new(path: Path, overwrite: bool = False, ending: str = "") -> None:
+def require_new(path: Path, overwrite: bool = False, *endings: str) -> None:
     """Raise InputError where something is at `path` that a command may not replace.
 
-    That is anything but an empty folder, unless it may `overwrite`. A name has to have the `ending`.
+    That is anything but an empty folder, unless it may `overwrite`. A name has to have one of the
+    `endings`, where there are some; "" is a folder's, which is made with those above it.
     """
-    if not path.name.endswith(ending):
+    if endings and path.suffix.lower() not in endings:
+        allowed = ", ".join(ending or "nothing" for ending in endings)
         raise InputError(
-            f"found {path.name!r} as a new file, allowed names that end in {ending}"
+            f"found {path.name!r} as a new file, allowed names that end in {allowed}"
         )
+    if endings and path.suffix and not path.parent.is_dir():
+        raise InputError(f"found no folder {str(path.parent)!r} for {path.name}")
     is_folder = os.path.isdir(path)
     with writable(path):
         is_there = any(os.scandir(path)) if is_folder else os.path.exists(path)

@@ -30,17 +30,13 @@ def free_cores(local_ranks: int = 1) -> int:
     return max(1, min(cpu_count(), (os.cpu_count() or 1) // local_ranks))
 
 
-def origin(epoch: int = 0, env_steps: int = 0) -> dict[str, Any]:
-    """Return what a run is made with here and now, after an epoch: versions, and our source's commit.
+def origin() -> dict[str, Any]:
+    """Return what a run is made with here and now: versions, and our source's commit.
 
     The commit ends in "-dirty" where files differ from it; it is None where there is no repository.
     """
-    return {
-        "epoch": epoch,
-        "env_steps": env_steps,
-        "versions": _versions(),
-        "commit": _commit(Path(__file__).resolve().parent),
-    }
+    commit = _commit(Path(__file__).resolve().parent)
+    return {"versions": _versions(), "commit": commit}
 
 
 @cache

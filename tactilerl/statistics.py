@@ -64,10 +64,8 @@ def area_under_curve(steps: Array, rates: Array) -> float:
 
 def resample(rng: np.random.Generator, n: int, n_resamples: int = N_RESAMPLES) -> Array:
     """Draw how often each of `n` samples is in each bootstrap resample; (n, n_resamples)."""
-    counts = np.empty((n_resamples, n), np.uint8)  # none is drawn 256 times
-    for part in np.array_split(counts, 1 + counts.size // 2**20):  # to save memory
-        drawn = rng.integers(n, size=part.shape) + n * np.arange(len(part))[:, None]
-        part[:] = np.bincount(drawn.ravel(), minlength=part.size).reshape(part.shape)
+    drawn = rng.integers(n, size=(n_resamples, n)) + n * np.arange(n_resamples)[:, None]
+    counts = np.bincount(drawn.ravel(), minlength=drawn.size).reshape(drawn.shape)
     return np.ascontiguousarray(counts.T)
 
 

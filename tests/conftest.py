@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 from filelock import FileLock
+from tactilerl.envs import scripted
 from tactilerl.envs.hands import HANDS
-from tactilerl.runs import still
 from tactilerl.scripted import reflexes
 from tactilerl.study import jobs
 
@@ -24,7 +24,7 @@ os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a waiting rank yie
 # A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-still.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes.py does
+scripted.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes.py does
 
 # The longest first, so that no core is idle at the end.
 LONG = [

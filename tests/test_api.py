@@ -231,7 +231,7 @@ MISTAKES = [
     (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
     (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
     (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
-    (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
+    (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "cannot write 'no/folder.pt'"),
     (lambda: tactilerl.PPO("lqr").policy().act([1, 2, 3]), r"\(3,\), expected \(2,\), or a batch"),
     (lambda: tactilerl.PPO("lqr").policy().act([1, np.nan]), "obs: not finite"),
     (lambda: tactilerl.PPO("lqr").policy().act([1, 2], deterministic=False), "rng: found none"),

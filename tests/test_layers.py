@@ -22,7 +22,7 @@ ALLOWED = {
     ),
     "mujoco_warp": ("envs/simulators/warp.py",),
     "warp": ("envs/simulators/warp.py",),
-    "onnx": ("tactilerl/runs/export.py",),
+    "onnx": ("tactilerl/commands/export.py",),
     "tyro": ("tactilerl/terminal/", "tactilerl/commands/"),
 }
 

@@ -70,7 +70,9 @@ def in_this_process(log_file, job):
 
 def learned(folder):
     """Every table that depends on nothing but what was learned, as bytes."""
-    result = analysis.analyse(*records.load(folder), 200)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(analysis, "N_RESAMPLES", 200)
+        result = analysis.analyse(*records.load(folder))
     return {
         table.name: table.csv()
         for *_, parts in report.sections(result)

@@ -22,6 +22,7 @@ Money = Annotated[float, "[0, 1e9)"]
 OF_FIRING = "taxel_threshold", "taxel_release", "taxel_threshold_spread"
 OF_FORCE = "taxel_saturates", "taxel_noise", "taxel_gain_spread", "taxel_drift"
 OF_BITS = "taxel_false_on", "taxel_stuck"
+UNIT = re.compile("_(mm|ms|N|N_per_min)$")
 T = TypeVar("T")
 
 
@@ -36,7 +37,10 @@ class Cost:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Table [sensor] of a file; what is not in it is unknown."""
+    """Table [sensor] of a file; what is not in it is unknown.
+
+    docs/guides/sensors.md says what each is.
+    """
 
     radius_mm: Annotated[float, "[0.1, 20]"] | None = None
     threshold_N: Newtons | None = None
@@ -64,35 +68,13 @@ class _File:
 
 @dataclass(frozen=True)
 class SensorFile:
-    """Hold what is known of a sensor, in SI units; None: unknown."""
+    """Hold what is known of a sensor."""
 
     name: str
     about: str
     source: str
-    radius: float | None
-    """Radius of what feels, m."""
-    threshold: float | None
-    """Force from which it fires, N."""
-    release: float | None
-    """Force below which it stops, N."""
-    threshold_spread: float | None
-    """Standard deviation of the threshold from sensor to sensor, relative."""
-    delay: float | None
-    """Time until a reading arrives, s."""
-    dead: float | None
-    """Share of sensors that never fire."""
-    false_on: float | None
-    """Probability per control step that an untouched sensor reads on."""
-    false_off: float | None
-    """Probability per control step that a touched sensor reads off."""
-    saturates: float | None
-    """Largest force that it can tell, N."""
-    noise: float | None
-    """Standard deviation of the noise of a reading, N."""
-    gain_spread: float | None
-    """Standard deviation of the gain from sensor to sensor, relative."""
-    drift: float | None
-    """Drift of the zero, N/min."""
+    numbers: dict[str, float]
+    """What is known, in SI units (the drift in N/min), by the fields `taxel_...` that it is for."""
     cost: Cost | None
 
     def fields(self, config: Any) -> dict[str, Any]:
@@ -100,15 +82,11 @@ class SensorFile:
 
         What is unknown, or does nothing with its touch rule, is as usual.
         """
-        usual = _usual(config)
-        known = {
-            f"taxel_{name}": value
-            for name, value in vars(self).items()
-            if f"taxel_{name}" in usual.keys() - config.idle() and value is not None
-        }
-        if self.delay is not None:  # control steps
-            known["taxel_delay"] = round(self.delay / config.control_dt)
-        return usual | known
+        known: dict[str, Any] = dict(self.numbers)
+        if "taxel_delay" in known:  # control steps
+            known["taxel_delay"] = round(known["taxel_delay"] / config.control_dt)
+        idle = config.idle()
+        return _usual(config) | {k: x for k, x in known.items() if k not in idle}
 
 
 def names() -> tuple[str, ...]:
@@ -131,8 +109,6 @@ def load(name: str | Path) -> SensorFile:
         path = FOLDER / f"{name}{SUFFIX}"
     data = validation.read(path, "sensor file")
     with validation.blamed(f"sensor file {path}"):
-        if "sensor" not in data:
-            raise ValueError("table [sensor] is missing")
         file = validation.fill(_File, data)
         numbers = file.sensor
         release, highest = numbers.release_N or 0.0, numbers.threshold_N or 0.0
@@ -140,12 +116,12 @@ def load(name: str | Path) -> SensorFile:
             raise ValueError(
                 f"sensor.release_N: found {release}, allowed up to threshold_N, {highest}"
             )
-    values: dict[str, Any] = {}
+    known = {}
     for key, value in asdict(numbers).items():
-        field, _, unit = re.fullmatch("(.+?)(_(mm|ms|N|N_per_min))?", key).groups()  # type: ignore[union-attr]
-        is_milli = unit in ("mm", "ms") and value is not None
-        values[field] = 1e-3 * value if is_milli else value
-    return SensorFile(path.stem, file.about, file.source, **values, cost=file.cost)
+        if value is not None:
+            scale = 1e-3 if key.endswith(("_mm", "_ms")) else 1.0
+            known[UNIT.sub("", f"taxel_{key}")] = scale * value
+    return SensorFile(path.stem, file.about, file.source, known, file.cost)
 
 
 def choose(config: T, choices: Mapping[str, Any]) -> T:

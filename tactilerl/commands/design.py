@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -16,10 +15,10 @@ from ..files import as_json, replacing, require_new
 from ..machine import free_cores
 from ..pictures import places
 from ..placement.candidates import DesignFlags, Pool
-from ..placement.choice import Design, design, difference, n_played
+from ..placement.choice import Design, design, n_played
 from ..placement.page import page
 from ..terminal import flags
-from ..terminal.console import console, progress
+from ..terminal.console import Progress, console
 from .scene import sensor_notes, warn
 
 ABOUT = """\
@@ -50,8 +49,6 @@ class Flags(DesignFlags):
     """FILE.toml for the largest layout, or a folder for all of them, a page and JSON."""
     overwrite: bool = False
     """Replace files of --out that are there."""
-    json: bool = False
-    """Print JSON instead of tables, a line for each."""
 
 
 def main(args: list[str]) -> int:
@@ -66,7 +63,9 @@ def main(args: list[str]) -> int:
     ]
     with input_errors():
         if read.out is not None:
-            require_out(read.out, len(asked), read.overwrite)
+            if len(asked) > 1:
+                raise InputError("--out: found with several designs, allowed with one")
+            require_new(read.out, read.overwrite, ".toml", "")
         pools = [Pool.of(one) for one in asked]
         notes = []
         for pool in pools:
@@ -76,37 +75,14 @@ def main(args: list[str]) -> int:
                 notes += sensor_notes(pool.env, sensed)
         warn(notes)
         total, workers = sum(map(n_played, pools)), read.workers or free_cores()
-        what = f"playing about {total} episodes"
-        with progress(what, total, not read.json, is_long=True) as tick:
-            results = [design(pool, workers, tick) for pool in pools]
+        tick = Progress(f"playing about {total} episodes", total)
+        results = [design(pool, workers, tick) for pool in pools]
         written = [] if read.out is None else write(results[0], read.out)
-    if read.json:
-        for result in results:
-            print(json.dumps(result.as_dict()))
-        return 0
     for result in results:
         show(result)
-    for other in results[1:] if len(sensors) > 1 else ():
-        console.print(
-            "Best set{}, success less that{} in the same starts: {:+.2f} ({:+.2f} to "
-            "{:+.2f}).".format(other.at, results[0].at, *difference(other, results[0]))
-        )
     for path in written:
         console.print(str(path))
     return 0
-
-
-def require_out(out: Path, n: int, overwrite: bool) -> None:
-    """Raise InputError where `n` designs cannot be written to `out`, before minutes of playing."""
-    if n > 1:
-        raise InputError(
-            f"--out: found with {n} sensors or thresholds, allowed with one: each has its own layouts"
-        )
-    if out.suffix not in ("", ".toml"):
-        raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
-    if out.suffix and not out.parent.is_dir():
-        raise InputError(f"--out: found no folder {str(out.parent)!r}")
-    require_new(out, overwrite)
 
 
 def write(result: Design, out: Path) -> list[Path]:

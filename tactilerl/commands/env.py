@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import gymnasium as gym
 
-from ..envs import scenes, sensors, tasks, vector
-from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs import scenes, scripted, sensors, vector
+from ..envs.grasp import GraspEnv
 from ..errors import input_errors
-from ..runs.still import note_of_standing_still
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
-from .grasps import require_grasp
-from .scene import layout_notes, read_scene, sensor_notes
+from .scene import layout_notes, read_scene, require_grasp, sensor_notes
 
 ABOUT = """\
 Describe an environment: what it is, its actions, observations and taxels. Without flags it also
@@ -53,17 +51,18 @@ def main(args: list[str]) -> int:
     read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
     with input_errors():
         if read.fit_sensor:
-            from ..scripted.fit_sensor import fit  # imports SciPy's statistics
+            from ..scripted.fit_sensor import fit  # imports SciPy
 
             print(fit(read.fit_sensor), end="")
             return 0
         with closing(GraspEnv(read.env, scene)) as env:
             content = _content(read.env, env)
-            content["notes"] += note_of_standing_still(vector.Workers(env).play)
+            content["notes"] += scripted.notes_of_standing_still(
+                vector.Workers(env).play
+            )
         check = None
         if read.check:
-            if tasks.TASKS[scene.task].giver is None:
-                require_grasp(read.env, scene)
+            require_grasp(read.env, scene)
             check = taxels.check(read.env, scene)
             content["check"] = asdict(check)
     if read.json:
@@ -92,31 +91,16 @@ def _content(name: str, env: GraspEnv) -> dict[str, Any]:
             f"{key} {part.shape}" for key, part in spaces.items()
         ),
         "taxels": len(env.taxels),
-        **_sensor(scene),
         "notes": layout_notes(name, scene.layout) + sensor_notes(name, scene),
         "action": env.hand.action_names,
         "observation": env.observation_names(),
     }
 
 
-def _sensor(scene: GraspConfig) -> dict[str, str]:
-    """Return the numbers that a sensor brings, by the names of their flags, where there is one."""
-    if not scene.sensor or scene.touch != "on":
-        return {}
-    numbers = [
-        f"{field.name} {getattr(scene, field.name)}"
-        for field in fields(scene)
-        if field.name.startswith("taxel_")
-        and getattr(scene, field.name) != field.default
-    ]
-    return {"sensor": ", ".join([scene.sensor, *numbers])}
-
-
 def _print(content: dict[str, Any], everything: bool, check: TaxelCheck | None) -> None:
     """Print the content in lines, all entries of action and observation if `everything`."""
-    for key in ("env", "task", "action_space", "observation_space", "taxels", "sensor"):
-        if key in content:
-            print(f"{key}: {content[key]}")
+    for key in ("env", "task", "action_space", "observation_space", "taxels"):
+        print(f"{key}: {content[key]}")
     for note in content["notes"]:
         print(f"note: {note}")
     for key in ("action", "observation") if everything else ():

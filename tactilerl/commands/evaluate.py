@@ -19,11 +19,11 @@ from ..envs import sensors
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
-from ..runs import evaluation, policies, recording
+from ..runs import evaluation, policies
 from ..runs.config import RunConfig
 from ..runs.training import start_workers
 from ..terminal import flags
-from ..terminal.console import console, progress
+from ..terminal.console import Progress, console
 from .scene import sensor_notes, warn
 
 ABOUT = """\
@@ -114,12 +114,12 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     """Play the episodes of an evaluation; return a row for each."""
     rows: list[dict[str, Any]] = []
     task = evaluation.task(policy, command.stochastic)
-    shown = progress("playing", command.episodes, not command.json)
+    tick = Progress("playing", command.episodes)
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)
         file = command.record, command.overwrite
-        recorded = recording.recorder(*file, workers.env, policy)
-        with closing(workers), shown as tick, recorded as record:
+        recorded = evaluation.recorder(*file, workers.env, policy)
+        with closing(workers), recorded as record:
             for episode in workers.play(task, range(command.episodes)):
                 record(len(rows), episode)
                 rows.append(evaluation.row(episode))

@@ -8,14 +8,13 @@ from typing import Annotated
 
 from rich.table import Table
 
-from ..envs import tasks, validation
+from ..envs import validation
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
 from ..scripted import gate
 from ..terminal import flags
-from ..terminal.console import console, progress
-from .grasps import require_grasp
-from .scene import layout_notes, read_scene, sensor_notes, warn
+from ..terminal.console import Progress, console
+from .scene import layout_notes, read_scene, require_grasp, sensor_notes, warn
 
 ABOUT = """\
 Can touch make a difference in a scene? Compares scripted hands that feel, see, or do neither,
@@ -65,17 +64,13 @@ def main(args: list[str]) -> int:
         for variant in variants:
             validation.validate(variant)
             layout_notes(read.env, variant.layout)  # raises what is wrong with it
-        if tasks.TASKS[scene.task].giver is None:
-            require_grasp(read.env, scene)
+        require_grasp(read.env, scene)
         warn([note for one in variants for note in sensor_notes(read.env, one)])
     total = gate.n_compared(variants, read.starts, read.search)
-    what = f"playing scripted hands, {total} episodes"
-    shown = progress(what, total, not read.json, is_long=True)
-    with shown as tick, input_errors():
-        results = gate.compare(
-            read.env, variants, read.starts, read.search, read.seed,
-            read.workers or free_cores(), tick,
-        )  # fmt: skip
+    tick = Progress(f"playing scripted hands, {total} episodes", total)
+    played = read.starts, read.search, read.seed, read.workers or free_cores(), tick
+    with input_errors():
+        results = gate.compare(read.env, variants, *played)
     said = gate.sentences(scene, results)
     if read.json:
         rows = [dataclasses.asdict(result) for result in results]

@@ -5,18 +5,20 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import tyro
 
 from .. import import_hand
 from ..envs import hands
 from ..envs.grasp import setup
+from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..files import pasted, replacing, require_new, writable
+from ..pictures import render
 from ..terminal import flags
 from ..terminal.console import console
-from .grasps import draw, find_grasp
+from .scene import find_grasp
 
 ABOUT = """\
 Write the file of a hand from its model, MJCF or URDF: what its parts are, its open and closed
@@ -72,9 +74,14 @@ def main(args: list[str]) -> int:
         if grasp is not None:
             with out.open("a", encoding="utf-8") as file:
                 file.write(f"\n{grasp.toml()}\n")
-    pose: Literal["start", "grasp"] = "start" if grasp is None else "grasp"
-    title, picture = f"the {pose}, and the hand unrolled", out.with_suffix(".png")
-    draw(console, title, name, scene, pose, picture, choices.overwrite)
+    pose: render.Pose = "start" if grasp is None else "grasp"
+    picture = out.with_suffix(".png")
+    try:
+        require_new(picture, choices.overwrite)
+        render.picture(name, scene, pose, Camera(azimuth=300.0), picture)
+        console.print(f"{picture}: the {pose}, and the hand unrolled")
+    except (ImportError, OSError, InputError) as error:
+        console.print(f"no picture: {error}")
     if grasp is None:
         return 1
     named = f"--env {pasted(out)}"

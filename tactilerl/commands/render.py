@@ -12,15 +12,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..envs import tasks
 from ..envs.grasp import setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..files import require_new
 from ..pictures import render
-from ..terminal.console import console, progress
-from .grasps import require_grasp
-from .scene import layout_notes, read_scene
+from ..terminal.console import console
+from .scene import layout_notes, read_scene, require_grasp
 
 ABOUT = """\
 Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: render).
@@ -32,6 +30,7 @@ examples:
   tactilerl render runs/X"""
 RUN_FLAGS = "video", "episodes", "episode"
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+VERDICTS = {True: "success", False: "no success"}
 
 
 @dataclass(frozen=True)
@@ -61,13 +60,11 @@ class RenderFlags:
     """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: Annotated[float, "[-360, 360]"] = Camera.elevation
     """Elevation of the camera, degrees; positive looks up from below."""
-    distance: Annotated[float, "[0.05, 10]"] = Camera.distance
-    """Distance of the camera, m."""
 
     @property
     def camera(self) -> Camera:
         """The camera that these flags place."""
-        return Camera(self.azimuth, self.elevation, self.distance)
+        return Camera(self.azimuth, self.elevation)
 
     @property
     def numbers(self) -> Sequence[int]:
@@ -91,15 +88,16 @@ def main(args: list[str]) -> int:
         if scene != setup(read.env):
             raise InputError("render RUN: found scene flags, but a run keeps its scene")
         has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
-        if read.video is None and len(read.run) == 1 and has_screen:
-            _watch(read)
-        else:
-            _film(read)
+        with input_errors():
+            if read.video is None and len(read.run) == 1 and has_screen:
+                _watch(read)
+            else:
+                _film(read)
         return 0
-    require_new(read.out, read.overwrite)
+    require_new(read.out, read.overwrite, ".png")
     with input_errors():
         notes = layout_notes(read.env, scene.layout)
-        if read.pose == "grasp" and tasks.TASKS[scene.task].giver is None:
+        if read.pose == "grasp":
             require_grasp(read.env, scene)
         lit = render.picture(read.env, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
@@ -110,23 +108,17 @@ def main(args: list[str]) -> int:
 
 def _watch(read: RenderFlags) -> None:
     """Play a run's policy in a window."""
-    with input_errors():
-        env, play = render.staged(read.run[0], read.hold_seconds, "human")
-        with closing(env):
-            for number in read.numbers:
-                verdict = "success" if play(number) else "no success"
-                console.print(f"{read.run[0]}: {verdict}")
+    env, play = render.staged(read.run[0], read.hold_seconds, "human")
+    with closing(env):
+        for number in read.numbers:
+            console.print(f"{read.run[0]}: {VERDICTS[play(number)]}")
 
 
 def _film(read: RenderFlags) -> None:
     """Film runs' policies."""
-    video, tests = read.video or Path("episodes.mp4"), ""
-    if read.hold_seconds:
-        tests = f" (hold tests of {read.hold_seconds:g} s)"
-    require_new(video, read.overwrite)
-    with input_errors(), progress("pictures") as tick:
-        for successes in render.film(
-            read.run, read.numbers, read.hold_seconds, read.camera, video, tick
-        ):
-            verdicts = ", ".join("success" if it else "no success" for it in successes)
-            console.print(f"{video}: {verdicts}{tests}")
+    video, seconds = read.video or Path("episodes.mp4"), read.hold_seconds
+    require_new(video, read.overwrite, ".mp4")
+    tests = f" (hold tests of {seconds:g} s)" if seconds else ""
+    for each in render.film(read.run, read.numbers, seconds, read.camera, video):
+        verdicts = ", ".join(VERDICTS[success] for success in each)
+        console.print(f"{video}: {verdicts}{tests}")

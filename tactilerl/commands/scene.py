@@ -1,4 +1,4 @@
-"""Flags of a command together with those of a scene."""
+"""What commands share: a scene's flags, notes about its taxels, and a grasp where its hand has none."""
 
 from __future__ import annotations
 
@@ -12,10 +12,17 @@ from ..envs.grasp import GraspConfig, setup
 from ..envs.scenes import NamedScene
 from ..envs.validation import nearest
 from ..errors import InputError, input_errors
+from ..files import replacing
+from ..machine import free_cores
+from ..scripted import grasp_search
 from ..terminal import flags
-from ..terminal.console import beside
+from ..terminal.console import Progress, beside
 
 T = TypeVar("T")
+MIN_HELD_SHARE = 0.5  # of the time that an object must be up for a grasp to be of use
+HEADER = (
+    "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
+)
 
 
 @dataclass(frozen=True)
@@ -95,3 +102,38 @@ def layout_notes(name: str, layout: str) -> list[str]:
     if off_skin := ", ".join(layouts.off_skin(wanted.place(hand), hand)):
         notes.append(f"{about} off the skin of their segment: {off_skin}")
     return notes
+
+
+def require_grasp(name: str, scene: GraspConfig) -> None:
+    """Search for a grasp of the hand and keep it, unless it has one, or what it takes is handed over.
+
+    Raise ValueError where none holds.
+    """
+    if hands.get(name).grasps or tasks.TASKS[scene.task].giver is not None:
+        return
+    best = find_grasp(name, scene)
+    if best is None:
+        raise ValueError(
+            f"hand {name}: found no grasp that holds; look at [opened] and [closed]"
+        )
+    path = hands.file(name)
+    target = path.with_suffix(hands.GRASP_SUFFIX)
+    with replacing(target) as file:
+        digest = hands.short_digest(path)
+        file.write(f'{HEADER}hand = "{digest}"\n\n{best.toml()}\n'.encode())
+    beside.print(f"kept in {target}")
+
+
+def find_grasp(name: str, scene: GraspConfig) -> grasp_search.FoundGrasp | None:
+    """Search for a grasp and return the best; None where it does not hold. Say how it went."""
+    beside.print(f"{name} has no [[grasp]]: looking for one")
+    tick = Progress("trying grasps", sum(grasp_search.ROUNDS))
+    best = grasp_search.find(name, scene, free_cores(), tick)
+    up = f"{100 * best.share:.0f} % of the time"
+    size = f"a {1e3 * best.grasp.object_size:g} mm object"
+    if best.share >= MIN_HELD_SHARE:
+        beside.print(f"found one: it holds {size} {up}")
+        return best
+    beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
+    beside.print("look at [opened] and [closed], or at the force of the servos")
+    return None

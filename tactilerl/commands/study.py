@@ -18,7 +18,7 @@ from ..files import pasted, require_new
 from ..study import batch, executors, grid, jobs, records
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
-from ..terminal.console import Tenths, about, console
+from ..terminal.console import Progress, about, console
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,13 @@ class Run:
                 f"study {study.name}: {len(runs)} runs, {len(todo)} to do, in {files.path}"
             )
             n_ended, folder = itertools.count(1), files.path.absolute()
-            tell_time = Tenths("", len(todo))
+            tick = Progress("runs", len(todo))
 
             def show(run: grid.Run) -> None:
                 record = files.record(run)
                 text = f"[{next(n_ended)}/{len(todo)}] {run.name} {record.state} "
                 console.print(text + about(record.seconds))
-                tell_time()
+                tick()
 
             if is_gpu:
                 each = batch.as_jobs(folder, todo)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from operator import itemgetter
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -159,24 +159,3 @@ class TaxelMap:
         for is_lit, disc in sorted(discs, key=itemgetter(0)):
             draw.ellipse(disc, LIT if is_lit else TAXEL)
         return np.array(image)
-
-
-def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
-    """Write a picture as .png or .jpg."""
-    from PIL import Image
-
-    kind = {".png": "PNG", ".jpg": "JPEG"}[ending.lower()]
-    Image.fromarray(picture).save(file, kind)
-
-
-def lettered(
-    picture: Array, words: Sequence[tuple[str, float, float]], size: float, anchor: str
-) -> Array:
-    """Return a picture with words at (x, y) in pixels, `size` of them high; `anchor` as in Pillow."""
-    from PIL import Image, ImageDraw
-
-    drawn = Image.fromarray(picture)
-    draw = ImageDraw.Draw(drawn)
-    for text, x, y in words:
-        draw.text((x, y), text, fill=LETTER, font_size=size, anchor=anchor)
-    return np.array(drawn)

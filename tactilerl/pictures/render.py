@@ -13,17 +13,16 @@ import numpy as np
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import Hand
-from ..envs.simulators import Camera, Simulator
+from ..envs.simulators import Camera
 from ..envs.state import Array
 from ..errors import InputError, extra
 from ..files import replacing
 from ..scripted import reflexes
-from .hand_map import PAPER, TaxelMap, lettered, save_picture
+from .hand_map import LETTER, PAPER, TaxelMap
 
 Pose = Literal["start", "grasp"]
 Colour = tuple[int, int, int]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
-FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 ABOVE_GROUND = 0.01  # m, where a camera stays: through the ground all is grey
@@ -32,9 +31,7 @@ FARTHER = 1.2  # than the distance of pictures: a hand is not cut while it opens
 SIDE, LINE, LETTERS = 480, 48, 26
 """Pixels of a film: height of the scene, of the line above it, and of its letters."""
 RED, GREEN = (248, 180, 172), (178, 226, 178)
-MAX_REACHES = (
-    0.6  # reaches of the hand that an object may be from the palm to be looked at
-)
+MAX_REACHES = 0.6  # of the hand: an object that is nearer to the palm is looked at
 
 
 def picture(
@@ -44,7 +41,8 @@ def picture(
 
     Beside it is the hand unrolled. In a handover the hand closes around what its giver holds.
     """
-    _require("--out", out, PICTURES)
+    with extra("render"):
+        from PIL import Image
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp" and env.task.giver is not None:
@@ -55,7 +53,7 @@ def picture(
                 pass
         image = _Artist(env, camera).draw()
         with replacing(out) as file:
-            save_picture(image, file, out.suffix)
+            Image.fromarray(image).save(file, "PNG")
         return int((env.taxel_readings() > 0).sum())
 
 
@@ -130,22 +128,16 @@ def staged(
 class _Player:
     """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
-    def __init__(
-        self,
-        run: Path,
-        hold_seconds: float | None,
-        camera: Camera,
-        tick: Callable[[], None],
-    ) -> None:
+    def __init__(self, run: Path, hold_seconds: float | None, camera: Camera) -> None:
         self.env, self._play = staged(run, hold_seconds, "rgb_array")
         timestep = self.env.config.timestep
-        every = max(1, int(1 / FPS / timestep + 1e-6))
-        self.fps = 1 / (every * timestep)
-        self._name, self._number, self._tick = run.name, 0, tick
+        self._every = max(1, int(1 / FPS / timestep + 1e-6))
+        self.fps = 1 / (self._every * timestep)
+        self._name, self._number, self._since = run.name, 0, 0
         self._artist = _Artist(self.env, camera)
         self._pictures: list[Array] = []
-        filmed: Any = Filmed(self.env.simulator, every, self._show)
-        self.env.simulator = filmed
+        simulator: Any = self.env.simulator
+        self._step, simulator.step = simulator.step, self._filmed_step
 
     def film(self, number: int) -> tuple[list[Array], bool]:
         """Return an episode's pictures, and whether it succeeds."""
@@ -154,14 +146,26 @@ class _Player:
         self._show(*(("success", GREEN) if success else ("failure", RED)))
         return self._pictures + self._pictures[-1:] * END_PICTURES, success
 
+    def _filmed_step(self, joint_targets: Array, n_substeps: int) -> None:
+        """Do a simulator's step in portions, so that there is a picture after every few timesteps."""
+        while n_substeps > 0:
+            portion = min(n_substeps, self._every - self._since)
+            self._step(joint_targets, portion)
+            n_substeps -= portion
+            self._since = (self._since + portion) % self._every
+            if self._since == 0:
+                self._show()
+
     def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
         """Add a picture, with a line above it."""
+        from PIL import Image, ImageDraw
+
         image = self._artist.draw()
-        head = np.full((LINE, image.shape[1], 3), colour, np.uint8)
+        head = Image.new("RGB", (image.shape[1], LINE), colour)
         line = f"{self._name}, start {self._number}  {outcome}"
-        head = lettered(head, [(line, 14, LINE / 2)], LETTERS, "lm")
-        self._pictures.append(np.vstack([head, image]))
-        self._tick()
+        place = 14, LINE / 2
+        ImageDraw.Draw(head).text(place, line, LETTER, font_size=LETTERS, anchor="lm")
+        self._pictures.append(np.vstack([np.array(head), image]))
 
 
 def film(
@@ -170,21 +174,19 @@ def film(
     hold_seconds: float | None,
     camera: Camera,
     out: Path,
-    tick: Callable[[], None],
 ) -> Iterator[list[bool]]:
     """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
     Yield the success of each, episode by episode, those of `numbers`. A hold test is as long as
     `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand.
-    `tick` is called after every picture. InputError when a run's environment is not a grasping one.
+    InputError when a run's environment is not a grasping one.
     """
-    _require("--video", out, FILMS)
     with extra("render"):
         import imageio.v2 as imageio
     distance = FARTHER * camera.distance
     camera = replace(camera, distance=distance, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
-        players = [_Player(run, hold_seconds, camera, tick) for run in runs]
+        players = [_Player(run, hold_seconds, camera) for run in runs]
         for player in players:
             opened.callback(player.env.close)
         fps = players[0].fps
@@ -197,42 +199,3 @@ def film(
                 images = [film[min(i, len(film) - 1)] for film in films]
                 writer.append_data(np.hstack(images))
             yield [*successes]
-
-
-class Filmed:
-    """Wrap a simulator so that it calls `show` after every `every` timesteps."""
-
-    def __init__(
-        self, simulator: Simulator, every: int, show: Callable[[], None]
-    ) -> None:
-        """Wrap a simulator that stands at the start of a picture."""
-        self._inner, self._every, self._show = simulator, every, show
-        self._since = 0
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what the simulator has."""
-        return getattr(self._inner, name)
-
-    def step(self, joint_targets: Array, n_substeps: int) -> None:
-        """Do the same steps in smaller portions."""
-        while n_substeps > 0:
-            portion = min(n_substeps, self._every - self._since)
-            self._inner.step(joint_targets, portion)
-            n_substeps -= portion
-            self._since = (self._since + portion) % self._every
-            if self._since == 0:
-                self._show()
-
-
-def _require(flag: str, out: Path, endings: tuple[str, ...]) -> None:
-    """Raise InputError where `out` cannot be written, or there is nothing to draw with."""
-    if out.suffix.lower() not in endings:
-        raise InputError(
-            f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}"
-        )
-    if not out.parent.is_dir():
-        raise InputError(
-            f"{flag}: found no folder {out.parent}, allowed one that exists"
-        )
-    with extra("render"):
-        import PIL  # noqa: F401

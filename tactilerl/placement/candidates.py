@@ -1,11 +1,10 @@
-"""Read the flags of a design: its scenes, and the taxels that may be chosen."""
+"""Read the flags of a design: its scenes, the taxels that may be chosen, and what they cost."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -23,7 +22,6 @@ from ..envs.state import Array
 from ..envs.validation import Newtons, require_known
 from ..machine import WorkerCount
 from ..pictures import places
-from .prices import Prices
 
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
@@ -95,17 +93,23 @@ class DesignFlags:
 
     def kind(self, scene: GraspConfig) -> Kind:
         """Return the sensor: what a flag says counts, then its file, then the scene."""
-        file = vars(sensors.load(self.sensor)) if self.sensor else {}
-        radius, threshold, delay = map(file.get, ("radius", "threshold", "delay"))
+        file = sensors.load(self.sensor) if self.sensor else None
+        known: dict[str, Any] = {
+            "taxel_threshold": scene.taxel_threshold,
+            "taxel_delay": scene.taxel_delay * scene.control_dt,
+            **(file.numbers if file else {}),
+        }
         if self.radius is not None:
-            radius = 1e-3 * self.radius
-        if threshold is None:
-            threshold = scene.taxel_threshold
+            known["taxel_radius"] = 1e-3 * self.radius
         if self.taxel_threshold is not None:
-            threshold = self.taxel_threshold
-        if delay is None:
-            delay = scene.taxel_delay * scene.control_dt
-        return Kind(file.get("name"), radius, threshold, delay, file.get("cost"))
+            known["taxel_threshold"] = self.taxel_threshold
+        return Kind(
+            name=file.name if file else None,
+            radius=known.get("taxel_radius"),
+            threshold=known["taxel_threshold"],
+            delay=known["taxel_delay"],
+            cost=file.cost if file else None,
+        )
 
     @property
     def numbers(self) -> range:
@@ -251,9 +255,8 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
     """
     surfaces = [hand.surfaces[index] for index in taxels.surfaces.tolist()]
     digits = ["palm" if s.segment == "palm" else s.digit for s in surfaces]
-    segments = [
-        "palm" if s.segment == "palm" else f"{s.digit}.{s.segment}" for s in surfaces
-    ]
+    on = zip(digits, surfaces, strict=True)
+    segments = ["palm" if d == "palm" else f"{d}.{s.segment}" for d, s in on]
     parts = {"taxel": list(taxels.names), "digit": digits, "segment": segments}
     if kind in parts:
         names = tuple(dict.fromkeys(parts[kind]))
@@ -281,6 +284,59 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
         for group in groups
     ]
     return Groups(tuple(group.name for group in groups), np.array(members))
+
+
+@dataclass(frozen=True)
+class Prices:
+    """Say what sets of taxels cost: each one, and each board that reads some of one group."""
+
+    cost: Cost
+    groups: Array
+    """(m,) int: each taxel's group. A board serves one group only."""
+
+    @property
+    def channels(self) -> int:
+        """Number of taxels that a board reads."""
+        return self.cost.channels or len(self.groups)
+
+    def _counts(self, taxels: Sequence[int]) -> Array:
+        """Return how many of some taxels are in each group (g,)."""
+        return np.bincount(self.groups[list(taxels)], minlength=self.groups.max() + 1)
+
+    def of(self, taxels: Sequence[int]) -> float:
+        """Return the price of some taxels and their boards."""
+        boards = np.ceil(self._counts(taxels) / self.channels).sum()
+        return self._price(len(taxels), int(boards))
+
+    def _price(self, n: int, boards: int) -> float:
+        return round(self.cost.each * n + self.cost.board * boards, 6)
+
+    def fits(self, taxels: Sequence[int], boards: int) -> Array:
+        """Tell which taxels go on to no more than some boards beside these, bool (m,)."""
+        counts = self._counts(taxels)
+        needs_another = counts % self.channels == 0
+        used = np.ceil(counts / self.channels).sum()
+        return np.asarray(used + needs_another[self.groups] <= boards)
+
+    def sizes(
+        self, taxels: Sequence[int], numbers: range, budget: float
+    ) -> list[tuple[int, int]]:
+        """Return the numbers of taxels, of these, and of boards that some money buys.
+
+        Raise ValueError where that is not even the least of the `numbers`.
+        """
+        n_groups, sizes = len(np.unique(self.groups[list(taxels)])), []
+        for n in numbers:
+            most = min(n, n_groups + max(0, n - n_groups) // self.channels)
+            fewest = -(-n // self.channels) if self.cost.board else most
+            sizes += [(n, boards) for boards in range(fewest, most + 1)]
+        if (least := self._price(*sizes[0])) > budget:
+            n, boards = sizes[0]
+            raise ValueError(
+                f"budget: found {budget:g}, allowed {least:g} or more, the price of "
+                f"{n} of these sensors and {boards} of their boards"
+            )
+        return [size for size in sizes if self._price(*size) <= budget]
 
 
 def priced(
@@ -330,6 +386,8 @@ class Pool:
     losses: Groups
     prices: Prices | None = None
     """None where the sensor's file says none."""
+    overlap: Array | None = None
+    """(n, n) bool: which two do not fit beside each other? None where nobody said their radius."""
     early: tuple[str, ...] = ()
     """Names of candidates that were left out."""
 
@@ -340,15 +398,16 @@ class Pool:
         env, scenes = scenes_of(flags)
         hand = hands.get(env)
         sensor = flags.kind(next(iter(scenes.values())))
-        own = fitted(candidates(flags, hand), radius=sensor.radius)
-        there = layouts.load(flags.keep).place(hand) if flags.keep else own.take([])
+        fit = fitted(candidates(flags, hand), radius=sensor.radius)
+        there = layouts.load(flags.keep).place(hand) if flags.keep else fit.take([])
         named = [layouts.load(name).place(hand) for name in flags.beside]
-        skin, (existing, chosen_from, *beside) = joined([there, own, *named])
+        skin, (existing, chosen_from, *beside) = joined([there, fit, *named])
         skin = fitted(skin, threshold_N=sensor.threshold)
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
         taken = {spots[index] for index in existing}
-        free = np.array([spots[i] not in taken for i in existing + chosen_from])
+        own = existing + chosen_from
+        free = np.array([spots[i] not in taken for i in own])
         pool = cls(
             flags=flags,
             env=env,
@@ -361,6 +420,7 @@ class Pool:
             references=dict(zip(flags.beside, beside, strict=True)),
             losses=groups_of(flags.survives or "taxel", hand, skin, "survives"),
             prices=priced(flags, sensor.cost, hand, skin, free),
+            overlap=None if sensor.radius is None else overlap(hand, skin.take(own)),
         )
         most = pool.sizes()[-1][0]
         if flags.budget is None and most > free.sum():
@@ -375,19 +435,15 @@ class Pool:
         return self.flags.start_closing or (first.start_closing,)
 
     @property
+    def to_survive(self) -> Array:
+        """(g, m) bool: the losses after which a choice is to succeed; none where nobody asked."""
+        members = self.losses.members
+        return members if self.flags.survives else members[:0]
+
+    @property
     def whole(self) -> list[int]:
         """All that the hand can have: what it has, and all that may be chosen."""
         return [*self.existing, *np.flatnonzero(self.free).tolist()]
-
-    @cached_property
-    def overlap(self) -> Array | None:
-        """(n, n) bool: which two do not fit beside each other?
-
-        None where nobody said how large the sensors are.
-        """
-        if self.sensor.radius is None:
-            return None
-        return overlap(self.hand, self.skin.take(range(len(self.free))))
 
     def sizes(self) -> list[tuple[int, int]]:
         """Return how many taxels, and on how many boards, sets may have; 0 boards: any number."""

@@ -18,17 +18,14 @@ from ..scripted import gate
 from . import cover
 from .candidates import DesignFlags, Pool
 from .cover import Starts
-from .prices import knee
 from .recording import record
 
 CHOICE, TEST = 500_000, 750_000
 """Seeds of starts to choose from, and to judge on; those of the gate are others."""
 RANDOM_SETS = 20
-N_RESAMPLES = 10_000
 ByWait = dict[float, Starts]
 """Starts by how far the hand is closed while it waits."""
-Tick = Callable[..., None]
-START = 3  # episodes that take as long as a recorded start
+Tick = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -91,12 +88,9 @@ class Judge:
 
     def wait(self, taxels: Sequence[int]) -> float:
         """Return how far a hand with these taxels is closed while it waits."""
-        members = self.pool.losses.members
-        losses = members if self.pool.flags.survives else members[:0]
-        return max(
-            self.choice,
-            key=lambda wait: cover.score(self.choice[wait], taxels, losses),
-        )
+        losses = self.pool.to_survive
+        scores = {w: cover.score(x, taxels, losses) for w, x in self.choice.items()}
+        return max(scores, key=lambda wait: scores[wait])
 
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
         """Return success, with its interval, share felt, and success after the worst loss.
@@ -236,23 +230,10 @@ def _taxels(n: int, price: float | None = None) -> str:
     return f"{n} {'taxel' if n == 1 else 'taxels'}{cost}"
 
 
-def difference(a: Design, b: Design) -> statistics.Estimate:
-    """Return the success of the best set of `a` less that of `b`, in the same starts."""
-    won = []
-    for design in (a, b):
-        starts = design.judge.test[design.judge.wait(design.best)]
-        won.append(cover.successes(starts, design.best).astype(float))
-    n_scenes = len(a.pool.scenes)
-    rng, n = np.random.default_rng(0), len(won[0]) // n_scenes
-    # Within each scene: which ones there are is not by chance.
-    counts = [statistics.resample(rng, n, N_RESAMPLES) for _ in range(n_scenes)]
-    return statistics.mean(won[0] - won[1], np.vstack(counts))
-
-
-def design(pool: Pool, workers: int, tick: Tick = lambda *_: None) -> Design:
+def design(pool: Pool, workers: int, tick: Tick = lambda: None) -> Design:
     """Choose taxels by which a hand succeeds that closes at the first touch.
 
-    `tick` is called after every episode, and with a number after as many.
+    `tick` is called after every start and episode.
     """
     flags = pool.flags
     choice = _played(pool, CHOICE, flags.starts, workers, tick)
@@ -294,12 +275,12 @@ def judged(judge: Judge, blind: float, blind_hand: str, wait: float) -> Design:
 
 
 def n_played(pool: Pool) -> int:
-    """Return the number of episodes that a design plays, more or less."""
+    """Return the number of starts and episodes that a design plays, more or less."""
     flags = pool.flags
     n_starts = len(pool.waits) * (flags.starts + flags.test_starts)
     n_senses = len(gate.BLIND) - 1  # for most scenes let nobody see
     n_blind = n_senses * gate.n_played(flags.test_starts, _search(flags))
-    return len(flags.scene) * (START * n_starts + n_blind)
+    return len(flags.scene) * (n_starts + n_blind)
 
 
 @cache  # designs with several sensors have the same
@@ -343,7 +324,7 @@ def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
     for wait in pool.waits:
         scenes, delay = _waiting(pool, wait), pool.sensor.delay
         played[wait] = record(
-            pool.env, scenes, pool.skin, delay, numbers, workers, partial(tick, START)
+            pool.env, scenes, pool.skin, delay, numbers, workers, tick
         )
     return played
 
@@ -360,9 +341,7 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
     room for as many taxels as are asked for.
     """
     size, n_existing = len(pool.free), len(pool.existing)
-    losses = pool.losses.members[:, :size]
-    if not pool.flags.survives:
-        losses = losses[:0]
+    losses = pool.to_survive[:, :size]
     picks = []
     for n, boards in pool.sizes():
         fits = partial(pool.fits, boards)
@@ -389,3 +368,14 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
         if not better or pick.score > better[-1].score:
             better.append(pick)
     return better
+
+
+def knee(prices: Sequence[float], successes: Sequence[float]) -> int:
+    """Return the index from which on more money buys little.
+
+    It is the point that is furthest above the line from the first to the last (Satopää et al. 2011,
+    "Finding a 'kneedle' in a haystack"). The first is what one has for nothing.
+    """
+    x, y = (np.asarray(values, float) for values in (prices, successes))
+    run, rise = max(x[-1] - x[0], 1e-9), max(y[-1] - y[0], 1e-9)
+    return int(np.argmax((y - y[0]) / rise - (x - x[0]) / run))

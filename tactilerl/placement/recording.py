@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from ..envs import touch, vector
+from ..envs import sensors, touch, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.layouts import Taxels
 from ..envs.simulators import SimulationError
 from ..envs.state import Array
 from ..envs.touch import RULES
 from ..envs.validation import require_one_of
-from ..scripted.gate import NO_FAULTS
+from ..scripted.gate import NO_TOUCH
 from ..scripted.reflexes import Reflex
 from .cover import NEVER, Starts
 
@@ -54,10 +53,10 @@ def record(
 
     Taxels are read `delay` s late. `tick` is called after every start.
     """
-    blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
+    blind = {**NO_TOUCH, "history": 1}
     rows: list[Any] = []
     for scene in scenes:
-        make = partial(SkinnedEnv, hand, replace(scene, **blind), taxels)
+        make = partial(SkinnedEnv, hand, sensors.choose(scene, blind), taxels)
         play = partial(_play, late=round(delay / scene.control_dt))
         with closing(vector.start(make, workers)) as played_in:
             for row in played_in.play(play, numbers):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -118,19 +117,11 @@ class RunConfig:
     def place(self) -> tuple[str, GraspConfig | None]:
         """The environment's name or its hand, and the scene, with the run's own copies of files.
 
-        InputError when that would import a module that nobody has asked for, or the files of its
-        hand have gone or changed.
+        InputError when the files of its hand have gone or changed.
         """
-        module, colon, _ = self.run.env.partition(":")
-        if colon and module not in sys.modules:  # the folder may be somebody else's
-            raise InputError(
-                f"env: found {self.run.env!r}, of the module {module}; if you trust it, give "
-                f"--import {module}"
-            )
-        env = self.run.env
+        env, scene = self.run.env, self.scene
         if self.hand:
-            if self.folder and (self.folder / HAND_COPY).is_file():
-                env = str(self.folder / HAND_COPY)
+            env = self._copy(HAND_COPY, env)
             with input_errors(f"{self.folder}: the hand of this run cannot be read"):
                 digest = hands.digest(env)
             if digest != self.hand:
@@ -138,15 +129,17 @@ class RunConfig:
                     f"{self.folder}: the files of this run's hand ({env}) have "
                     "changed since it was made; put the old ones back"
                 )
-        scene = self.scene
-        if scene is None:
-            return env, None
-        if scene.hand_seed is None:
+        if scene is not None and scene.hand_seed is None:
             scene = dataclasses.replace(scene, hand_seed=self.run.seed)
-        if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
-            copy = str(self.folder / LAYOUT_COPY)
-            scene = dataclasses.replace(scene, layout=copy)
+        if scene is not None and self.layout_file:
+            layout = self._copy(LAYOUT_COPY, scene.layout)
+            scene = dataclasses.replace(scene, layout=layout)
         return env, scene
+
+    def _copy(self, name: str, original: str) -> str:
+        """Return the path of the run's copy of a file, or that of the original where there is none."""
+        copy = Path(self.folder or "", name)
+        return str(copy) if self.folder and copy.is_file() else original
 
     @property
     def layout_file(self) -> Path | None:

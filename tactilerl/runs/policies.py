@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -71,11 +70,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     the disk is full.
     """
     path = require_path(path, "path")
-    if path.is_dir() or not path.parent.is_dir():
-        raise ValueError(
-            f"path: found {str(path)!r}, allowed a file in a folder that exists"
-        )
-    if os.path.lexists(path):
+    if path.is_file():
         _read(path)  # ValueError where it is no policy
     state = learner.state_dict()
     acting = learner.config.acting(learner.progress_remaining)

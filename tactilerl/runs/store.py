@@ -28,10 +28,9 @@ from .. import machine
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.policy import Spaces, action_bounds
-from ..envs import hands, layouts, plugins, validation
-from ..errors import InputError, input_errors
+from ..envs import hands, layouts, validation
+from ..errors import InputError
 from ..files import (
-    LEFTOVER,
     as_json,
     damage_named,
     make_folder,
@@ -51,7 +50,8 @@ REWRITE = (
 )
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
-Row = dict[str, str]
+Row = dict[str, float]
+"""A row of progress.csv, NaN where it says nothing."""
 
 
 # -- tensors and spaces in a file ------------------------------------------------------------
@@ -139,11 +139,11 @@ class RunDir:
         """Make the folder where there is none; InputError where it holds something else."""
         with writable(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            names = {path.name for path in self.path.iterdir()}
+            names = {path.name for path in self.path.glob("[!.]*")}
         # A run that was killed before config.json was there leaves its lock and copies.
-        ours = {HAND_COPY, LAYOUT_COPY} if ".lock" in names else set()
-        others = {n for n in names - ours if not n.endswith((LEFTOVER, ".lock"))}
-        if others and not self.config_file.exists():
+        if (self.path / ".lock").exists():
+            names -= {HAND_COPY, LAYOUT_COPY}
+        if names and not self.config_file.exists():
             raise InputError(
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another "
                 "with --out"
@@ -164,12 +164,9 @@ class RunDir:
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
-        now = machine.origin(epoch, env_steps)
-        if batch:
-            now["batch"] = batch
-        same = {name: now[name] for name in now if name not in ("epoch", "env_steps")}
-        if not origins or not origins[-1].items() >= same.items():
-            origins.append(now)
+        made_with = machine.origin() | ({"batch": batch} if batch else {})
+        if not origins or not origins[-1].items() >= made_with.items():
+            origins.append({"epoch": epoch, "env_steps": env_steps, **made_with})
         digest, env, copy = config.hand, config.run.env, self.path / HAND_COPY
         if not digest and config.scene and env not in hands.HANDS:  # it begins
             with replacing(copy) as file:
@@ -195,7 +192,11 @@ class RunDir:
         """Return what config.json holds; InputError when damaged."""
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            return as_record(json.loads(self.config_file.read_bytes()))
+            data: Values = json.loads(self.config_file.read_bytes())
+            if data["format"] != FORMAT:
+                allowed = f"{FORMAT}; this version reads runs of 0.5.0 on"
+                raise ValueError(f"format: found {data['format']}, allowed {allowed}")
+            return data
 
     # -- progress.csv ------------------------------------------------------------------------
 
@@ -228,11 +229,11 @@ class RunDir:
 
         InputError where rows before it are missing; a table that is missing begins anew.
         """
-        epochs = [int(row["epoch"]) for row in self.rows()]
+        epochs = [row["epoch"] for row in self.rows()]
         if epochs and epochs[-1] < epoch:
             raise InputError(
-                f"{self.table}: found epochs up to {epochs[-1]}, the checkpoint's is {epoch}; put back "
-                "the table that belongs to it, or move this one away to continue with a new one"
+                f"{self.table}: found epochs up to {epochs[-1]:g}, the checkpoint's is {epoch}; put "
+                "back the table that belongs to it, or move this one away to continue with a new one"
             )
         kept = sum(one <= epoch for one in epochs)
         if not kept:  # so that a header that was cut off does not stay
@@ -265,25 +266,11 @@ def _hand_file(path: Path) -> bytes:
     return text.encode()
 
 
-def as_record(data: Any) -> Values:
-    """Return the values of a config.json; ValueError where it is an older version's."""
-    if data["format"] != FORMAT:
-        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.5.0 on")
-    return dict(data)
-
-
 def parse(text: str) -> list[Row]:
-    """Return the rows of a progress.csv; a last line that was cut off does not count.
-
-    Raises an error of some kind where an entry is no number.
-    """
+    """Return the rows of a progress.csv; a last line that was cut off does not count."""
     whole = text[: text.rfind("\n") + 1]
-    rows = [*csv.DictReader(io.StringIO(whole), strict=True)]
-    for row in rows:
-        int(row["epoch"]), int(row["env_steps"])
-        for entry in filter(None, row.values()):
-            float(entry)
-    return rows
+    rows = csv.DictReader(io.StringIO(whole))
+    return [{name: float(x or "nan") for name, x in row.items()} for row in rows]
 
 
 class Checkpoint:
@@ -338,12 +325,8 @@ class Checkpoint:
                 f"mpirun -n {before}"
             )
         state, self._epochs = data["ranks"][self.comm.rank], data["experience"]
-        if state.keys() != self.learner.state_dict().keys():
-            raise InputError(
-                f"{self.run_dir.checkpoint_file}: its learner has other parts than this version's; "
-                "finish the run with the version that made it (evaluate and render do read it)"
-            )
-        with damage_named(self.run_dir.checkpoint_file):
+        problem = "damaged, or finish the run with the version that made it"
+        with damage_named(self.run_dir.checkpoint_file, problem):
             self.learner.load_state_dict(state)
             for epoch in self._epochs:
                 part = read_tensors(self._part(epoch), "experience", "format", FORMAT)
@@ -365,13 +348,8 @@ def resolve(
 ) -> RunConfig:
     """Return the configuration before other choices: defaults, or that of the run in `resume`.
 
-    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene or
-    a recipe is named as well.
+    Raise InputError where `resume` holds no run, or a scene or a recipe is named as well.
     """
-    module, colon, _ = str(env).partition(":")
-    if colon:
-        with input_errors("env"):
-            plugins.import_modules([module])
     if not resume:
         return defaults(algo, env, recipe, scene)
     for name, value in {"scene": scene, "recipe": recipe}.items():

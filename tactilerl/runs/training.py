@@ -17,16 +17,14 @@ from .. import algos
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
-from ..envs import vector
-from ..errors import InputError, input_errors
+from ..envs import scripted, vector
+from ..errors import InputError, input_errors, interrupts_in_order
 from ..files import locked, pasted
 from ..machine import free_cores
-from ..terminal import interrupts
 from ..terminal.console import paragraph
 from ..terminal.epochs import EpochLog, require_tensorboard
 from . import evaluation
 from .config import FINAL_TEST, RunConfig, RunOptions
-from .still import note_of_standing_still
 from .store import Checkpoint, RunDir
 
 Row = dict[str, Any]
@@ -102,21 +100,19 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
                 notes.append(paragraph("resumed", done))
             elif config.scene and comm.rank == 0:
-                for note in note_of_standing_still(workers.play):
+                for note in scripted.notes_of_standing_still(workers.play):
                     notes.append(paragraph("warning", note))
             if learner.env_steps >= learner.total_timesteps:
                 advice = "" if config.learner.anneals else "; raise --total-timesteps"
                 notes.append(f"  nothing to do{advice}")
-            with EpochLog(learner, comm, events) as log:
-                log.console.print("\n".join(filter(None, notes)))
-                for earlier in run_dir.rows():
-                    log.write_events(earlier)
-                for row in epochs(learner, epoch):
-                    row[FINAL_TEST] = _final_test(learner, config.run.n_test_episodes)
-                    if comm.rank == 0:
-                        run_dir.append(row)
-                    checkpoint.save(row["epoch"])
-                    log.epoch(row)
+            log = EpochLog(learner, comm, events)
+            log.console.print("\n".join(filter(None, notes)))
+            for row in epochs(learner, epoch):
+                row[FINAL_TEST] = _final_test(learner, config.run.n_test_episodes)
+                if comm.rank == 0:
+                    run_dir.append(row)
+                checkpoint.save(row["epoch"])
+                log.epoch(row)
     return run_dir.path
 
 
@@ -128,7 +124,7 @@ def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[
             run_dir.create()
             held.enter_context(locked(run_dir.path))
             run_dir.settled(config)  # another process may have begun it meanwhile
-        held.enter_context(interrupts.in_order())
+        held.enter_context(interrupts_in_order())
         try:
             yield
         except algos.EndlessError as error:
@@ -176,7 +172,12 @@ def epochs(learner: Learner, epoch: int) -> Iterator[Row]:
     """Learn until `total_timesteps`, from after `epoch` on; yield each epoch's row of the table."""
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        yield {"epoch": epoch, **_epoch(learner)}
+        begin, before = time.perf_counter(), learner.env_steps
+        played = cycles(learner, lambda: learner.env_steps < learner.total_timesteps)
+        test = learner.test()
+        speed = (learner.env_steps - before) / (time.perf_counter() - begin)
+        row = {"epoch": epoch, "env_steps": learner.env_steps}
+        yield row | table_row(*played, test, speed)
 
 
 def _final_test(learner: Learner, n: int) -> float | str:
@@ -188,15 +189,6 @@ def _final_test(learner: Learner, n: int) -> float | str:
         return ""
     played = learner.workers.play(evaluation.task(learner.policy()), range(n))
     return float(np.mean([episode.success for episode in played]))
-
-
-def _epoch(learner: Learner) -> Row:
-    """Play one epoch and learn from it, then test; return its row of the progress table."""
-    begin, before = time.perf_counter(), learner.env_steps
-    played = cycles(learner, lambda: learner.env_steps < learner.total_timesteps)
-    test = learner.test()
-    speed = (learner.env_steps - before) / (time.perf_counter() - begin)
-    return {"env_steps": learner.env_steps, **table_row(*played, test, speed)}
 
 
 def cycles(

@@ -9,9 +9,8 @@ from functools import partial
 from typing import Any
 
 from .. import statistics
-from ..envs import tasks, vector
+from ..envs import sensors, tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.observations import TaxelFaults
 from . import reflexes
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
@@ -20,13 +19,8 @@ MIN_GAIN = (
 )
 USABLE = 0.9  # success of the sighted hand from which a scene is worth training in
 ENOUGH = 40  # starts; of fewer, an interval is wider than MIN_GAIN
-NO_FAULTS: dict[str, Any] = {
-    **dataclasses.asdict(TaxelFaults()),
-    "taxel_delay": 0,
-    "taxel_radius": None,
-    "taxel_threshold": None,
-    "taxel_release": None,
-}
+NO_TOUCH: dict[str, Any] = {"touch": "absent", "sensor": ""}
+"""Choices with which a scene has no taxels, and no numbers of theirs."""
 SENSES = {
     "timed": ("time", "a fixed time has passed"),
     "joints": ("joints", "the joints or the hand have moved"),
@@ -96,14 +90,14 @@ def examine(
         sense, _ = SENSES[name]
         changes: dict[str, Any] = {}
         if sense != "touch":
-            changes = {"touch": "absent", **NO_FAULTS}
+            changes = {**NO_TOUCH}
         if name == "sighted":
             changes |= {
                 "object_seen": "exact",
                 "sight_noise": None,
                 "sight_noise_kind": "white",
             }
-        make = partial(GraspEnv, hand, dataclasses.replace(scene, **changes))
+        make = partial(GraspEnv, hand, sensors.choose(scene, changes))
         with closing(vector.start(make, workers)) as played_in:
             env: Any = played_in.env.unwrapped
             candidates = reflexes.candidates(env, sense)

@@ -102,19 +102,19 @@ class Pairs:
 
 
 @cache
-def resamples(n: int, n_resamples: int = N_RESAMPLES) -> Array:
-    """Return bootstrap counts of `n` pairs (n, n_resamples), the same for the same number."""
-    return statistics.resample(np.random.default_rng([SEED, n]), n, n_resamples)
+def resamples(n: int) -> Array:
+    """Return bootstrap counts of `n` pairs (n, N_RESAMPLES), the same for the same number."""
+    return statistics.resample(np.random.default_rng([SEED, n]), n, N_RESAMPLES)
 
 
-def in_pairs(groups: Sequence[BySeed], n_resamples: int = N_RESAMPLES) -> Pairs:
+def in_pairs(groups: Sequence[BySeed]) -> Pairs:
     """Return the pairs of treatment and control, in the order of the treatment's seeds."""
     treatment, control = groups
     seeds = [seed for seed in treatment if seed in control]
     a, b = (np.array([group[seed] for seed in seeds]) for group in groups)
     rng = np.random.default_rng([SEED, len(seeds)])
-    p_value = statistics.sign_flip_p(a - b, rng, n_resamples)
-    difference = statistics.mean(a - b, resamples(len(seeds), n_resamples))
+    p_value = statistics.sign_flip_p(a - b, rng, N_RESAMPLES)
+    difference = statistics.mean(a - b, resamples(len(seeds)))
     return Pairs(seeds, a, b, difference, p_value)
 
 
@@ -173,15 +173,13 @@ class Analysis:
     setups: list[SetupResult]
 
 
-def analyse(
-    study: Study, records: list[Record], n_resamples: int = N_RESAMPLES
-) -> Analysis:
+def analyse(study: Study, records: list[Record]) -> Analysis:
     """Compute all numbers of a report."""
     setups = []
     for index, setup in enumerate(study.setups):
         rng = np.random.default_rng([SEED, index])
         its_own = [record for record in records if record.run.setup == setup.name]
-        setups.append(_setup(setup, its_own, study.score, rng, n_resamples))
+        setups.append(_setup(setup, its_own, study.score, rng))
     return Analysis(study, records, setups)
 
 
@@ -190,7 +188,6 @@ def _setup(
     records: list[Record],
     score: str,
     rng: np.random.Generator,
-    n_resamples: int,
 ) -> SetupResult:
     first, last = span(record for record in records if record.is_finished)
     steps = np.linspace(min(first, last), last, N_POINTS)
@@ -200,11 +197,11 @@ def _setup(
         common = span(itertools.chain(*runs.values()))
         for name, its_runs in runs.items():
             if its_runs:
-                counts = statistics.resample(rng, len(its_runs), n_resamples)
+                counts = statistics.resample(rng, len(its_runs), N_RESAMPLES)
                 groups[setting, name] = _group(its_runs, steps, common, counts)
         if setup.compare:
             treatment, control, *_ = runs.values()
-            pairs[setting] = in_pairs(scored(score, treatment, control), n_resamples)
+            pairs[setting] = in_pairs(scored(score, treatment, control))
     corrected = statistics.holm([one.p_value for one in pairs.values()])
     for setting, p in zip(pairs, corrected, strict=True):
         pairs[setting] = replace(pairs[setting], p_holm=float(p))

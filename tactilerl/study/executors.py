@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ..errors import InputError, extra
+from ..errors import InputError, extra, interrupts_in_order
 from ..machine import free_cores
-from ..terminal import interrupts
 
 BATCH = {
     "slurm": "SLURM",
@@ -42,8 +41,6 @@ def start(
         raise InputError(f"--on {on}: how many jobs to submit? Give --jobs N")
     if (walltime or memory) and not is_batch:
         raise InputError(f"--walltime, --memory: allowed only with {', '.join(BATCH)}")
-    if on == "gpu" and ranks > 1:
-        raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
     if on in ("local", "gpu"):
         usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
         pool = concurrent.futures.ThreadPoolExecutor(jobs or usual)
@@ -60,7 +57,6 @@ def start(
             where = cluster(on, ranks, walltime, memory)
             submit = where.job_cls.submit_command.split()[0]
             if shutil.which(submit) is None:  # Dask would only log it, and wait
-                where.close()
                 raise ValueError(f"found no command {submit!r} on this machine")
             where.scale(jobs=jobs)
         connect: Any = Client  # which has no types
@@ -69,7 +65,7 @@ def start(
         raise InputError(f"--on {on}: {error}") from error
     # It would log tracebacks of what is said below in one line.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-    with client, interrupts.in_order():
+    with client, interrupts_in_order():
         try:
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:

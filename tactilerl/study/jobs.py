@@ -35,8 +35,8 @@ INTERRUPTED = 130, -signal.SIGINT, -signal.SIGTERM
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # The first thing that a run's process does: from then on it ends with its parent.
-BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
-BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+BEGIN = "import os, sys; from tactilerl.errors import end_with; "
+BEGIN += "end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ def _require_same(run_dir: RunDir, config: RunConfig) -> None:
     layout, copy = config.layout_file, run_dir.layout_file
     if layout and layout.is_file() and copy.is_file():
         with input_errors():
-            was, now = (layouts.load(str(file)) for file in (copy, layout))
-        if (was.patches, was.taxels) != (now.patches, now.taxels):
+            was, now = (layouts.load(str(file)).toml() for file in (copy, layout))
+        if was != now:
             raise InputError(
                 f"layout {layout}: found other taxels than when this run began"
             )
@@ -114,15 +114,12 @@ def run_all(
     """Make runs done, in order; `on_end` is told each run that ended, whatever became of it."""
     waiting = {pool.submit(make_done, job): job for job in jobs}
     for future in concurrent.futures.as_completed(waiting):
-        job, error = waiting[future], future.exception()
-        is_deadly = type(error).__name__ == "KilledWorker"  # Dask's
-        if error is not None and not is_deadly:
-            raise error
+        job = waiting[future]
         for run in job.runs:
-            if is_deadly:
-                StudyFiles(job.folder).write_failure(
-                    run, f"it ended several workers: {error}"
-                )
+            if (
+                error := future.exception()
+            ):  # such as that several of Dask's workers died
+                StudyFiles(job.folder).write_failure(run, f"not run: {error}")
             on_end(run)
 
 

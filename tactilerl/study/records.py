@@ -51,7 +51,7 @@ class Record:
 
     def column(self, name: str) -> Array:
         """Return a column of the progress table as numbers, NaN where there is none."""
-        return np.array([float(row.get(name) or math.nan) for row in self.rows])
+        return np.array([row.get(name, math.nan) for row in self.rows])
 
     @cached_property
     def curve(self) -> tuple[Array, Array]:
@@ -126,7 +126,7 @@ class StudyFiles:
                     rows = parse(self.read(f"{name}/progress.csv").decode())
                     planned = config["run"]["total_timesteps"]
                     planned = run.flags.get("total_timesteps", planned)
-                    is_done = bool(rows) and int(rows[-1]["env_steps"]) >= planned
+                    is_done = bool(rows) and rows[-1]["env_steps"] >= planned
         except InputError as error:
             problem = str(error)
         state: State = "interrupted" if config or problem else "left"

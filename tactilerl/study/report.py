@@ -203,8 +203,8 @@ def runs(analysis: Analysis) -> Table:
     for one in analysis.setups:
         for record in one.records:
             run, group = record.run, one.groups.get(record.run.place[1:])
-            steps = record.rows[-1]["env_steps"] if record.rows else "0"
-            row = {"Run": run.name, "State": record.state, "Steps": steps}
+            steps = record.rows[-1]["env_steps"] if record.rows else 0
+            row = {"Run": run.name, "State": record.state, "Steps": f"{steps:.0f}"}
             reached = group.reached.get(run.seed, {}) if group else {}
             for score, mean in MEANS.items():
                 row[mean.capitalize()] = number(reached.get(score, math.nan))

@@ -1,1 +1,1 @@
-"""Talk with a person at a terminal: flags, lines, a progress bar, Ctrl-C."""
+"""Talk with a person at a terminal: flags, lines, how far long work is."""

@@ -38,17 +38,7 @@ class EpochLog:
         self._started = time.perf_counter()
         self._events: Any = None
         if events is not None and comm.rank == 0:
-            # Events of another process are hidden: its last ones may be missing.
-            self._events = require_tensorboard()(str(events), purge_step=0)
-
-    def __enter__(self) -> EpochLog:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the events."""
-        if self._events is not None:
-            self._events.close()
+            self._events = require_tensorboard()(str(events))
 
     def epoch(self, row: Mapping[str, Any]) -> None:
         """Print one row of the progress table."""
@@ -65,18 +55,15 @@ class EpochLog:
                 text += f"{fault} {times:.0f}  "
         done = f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}"
         self.console.print(f"{done}  {text}{about(left)} left")
-        self.write_events(row)
-
-    def write_events(self, row: Mapping[str, float | str]) -> None:
-        """Write a row of the progress table for TensorBoard, where that is asked for."""
-        if self._events is None:
-            return
-        for column, value in row.items():
-            number = math.nan if value == "" else float(value)
-            if column not in ("epoch", "env_steps") and not math.isnan(number):
-                steps = int(row["env_steps"])
-                self._events.add_scalar(f"train/{column}", number, steps)
-        self._events.flush()
+        if self._events is not None:
+            for column, value in row.items():
+                if (
+                    column not in ("epoch", "env_steps")
+                    and value != ""
+                    and not math.isnan(value)
+                ):
+                    self._events.add_scalar(f"train/{column}", value, steps)
+            self._events.flush()
 
 
 def _percent(value: float) -> str:

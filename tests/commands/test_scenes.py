@@ -6,9 +6,8 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.envs import scenes
+from tactilerl.envs import scenes, scripted
 from tactilerl.envs.hands import HANDS, get
-from tactilerl.runs import still
 from tactilerl.runs.config import configure, defaults
 
 from one_line import fails_with, printed
@@ -171,7 +170,7 @@ class TestEvaluateWithOtherSensors:
 
 def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path, monkeypatch):
     """Before training, and by `env`."""
-    monkeypatch.setattr(still, "N_STILL", 4)
+    monkeypatch.setattr(scripted, "N_STILL", 4)
     low = ["--env", "mpl", "--simulator", "mujoco", "--layout", "5"]
     low += ["--task", "reach-goal", "--goal-range", "0.01"]
     words = "a hand that stands still reaches the goal in 4 of 4 episodes"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import sensors, vector
-from tactilerl.runs.config import configure
 
 from one_line import fails_with, printed
 
@@ -37,13 +36,6 @@ def test_a_run_keeps_the_numbers_of_its_sensor_and_is_evaluated_with_others(caps
     assert json.loads(printed(capsys, [*EVALUATE, "--sensor", ""]))["sensors"] == usual
     blind = json.loads(printed(capsys, [*EVALUATE, "--touch", "off"]))["sensors"]
     assert (blind["touch"], blind["taxel_threshold"], blind["taxel_delay"]) == ("off", None, 0)
-
-
-def test_the_control_of_a_study_has_the_sensor_and_no_numbers():
-    on, off = (
-        configure({"scene": "handover", "sensor": "fsr", "touch": t}).scene for t in ("on", "off")
-    )
-    assert (on.taxel_threshold, off.taxel_threshold) == (0.2, None)
 
 
 @pytest.mark.slow
@@ -78,8 +70,6 @@ def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys,
     assert unknown in printed(capsys, ["env", *scene, "eflesh"])
     for known in (["--taxel-threshold", "0.1"], ["--touch-rule", "force"], ["--touch", "off"]):
         assert "eflesh names" not in printed(capsys, ["env", *scene, "eflesh", *known])
-    told = "sensor: fsr, taxel_radius 0.00381, taxel_threshold 0.2\n"
-    assert told in printed(capsys, ["env", *scene, "fsr"])
     assert main([*TRAIN, "--sensor", "eflesh", "--total-timesteps", "12", "--out", "run"]) == 0
     assert "eflesh names no threshold" in " ".join(capsys.readouterr().out.split())
     assert main(EVALUATE) == 0
@@ -134,12 +124,6 @@ def test_a_fit_gives_back_the_numbers_of_simulated_logs(capsys):
     assert all(low <= found[key] <= high for key, (low, high) in bounds.items())
     assert bounds.keys() == true.keys() - {"noise_N"}
     assert bounds["threshold_N"][1] - bounds["threshold_N"][0] > 0.06  # from specimen to specimen
-    found, _ = fitted(capsys, "0.csv", "4.csv")
-    assert "threshold_spread" not in found  # which two specimens do not tell
-    for number in range(3):  # noise puts some releases above the threshold
-        write(f"{number}.csv", log(0.3, 0.3, delay=0.0, noise=0.0, seed=number))
-        found, bounds = fitted(capsys, f"{number}.csv")
-        assert all(low <= found[key] <= high for key, (low, high) in bounds.items())
     write("switch.csv", log(0.98, 0.2, delay=0.01, noise=0.0, seed=9, is_boolean=True))
     found, _ = fitted(capsys, "switch.csv")  # one specimen tells no spread, a bit no noise
     true = {"threshold_N": 0.98, "release_N": 0.2, "delay_ms": 10}
@@ -160,20 +144,13 @@ GOOD = log(0.3, 0.2, delay=0.02, noise=0.02, seed=0)
 @pytest.mark.parametrize(
     ("rows", "header", "said"),
     [
-        (
-            GOOD,
-            "time,force_g,reading",
-            "columns: found 'time,force_g,reading', allowed time,force_N,reading",
-        ),
+        (GOOD, "time,force_g,reading", "columns: found 'time,force_g,reading', allowed time,force_N"),
         (broken(GOOD, time=lambda t: 1e3 * t), None, "time: found steps of 4 s and more"),
-        (broken(GOOD, time=lambda t: t[::-1]), None, "time: found steps of -0.004 s"),
-        (broken(GOOD, force=lambda f: 102 * f), None, "allowed -1 to 100 N"),
         (broken(GOOD, force=lambda f: 0 * f), None, "found no press of 0.05 N"),
+        (broken(GOOD, force=lambda f: f + 1.5), None, "the force at rest is 1.5 N: tare it"),
         (broken(GOOD, reading=lambda r: 0 * r), None, "the reading never leaves its rest"),
         (broken(GOOD, reading=lambda r: np.where(r == r.max(), np.nan, r)), None, "found NaN"),
         (GOOD[480:], None, "found less than 1 s of rest"),
-        (GOOD[:1], None, "lines: found 1, allowed some seconds"),
-        (broken(GOOD, force=lambda f: f + 1.5), None, "the force at rest is 1.5 N: tare it"),
     ],
 )
 def test_a_log_that_does_not_tell_is_one_line(rows, header, said, capsys):

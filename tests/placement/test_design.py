@@ -18,15 +18,14 @@ from tactilerl.placement.candidates import (
     DesignFlags,
     Groups,
     Pool,
+    Prices,
     candidates,
     fitted,
     groups_of,
     overlap,
 )
 from tactilerl.placement.cover import NEVER, Starts
-from tactilerl.placement.prices import Prices, knee
 from tactilerl.placement.recording import record
-from tactilerl.scripted import gate
 from tactilerl.scripted.reflexes import Reflex
 
 from one_line import fails_with, printed
@@ -86,13 +85,11 @@ class TestCover:
             assert {*existing} <= {*taxels}
             assert not given[1][np.ix_(taxels, taxels)].any()
 
-    def test_the_worst_loss(self):
+    def test_the_worst_loss_and_what_fires_too_early(self):
         starts = starts_of([[5, 5], [NEVER, 5], [5, NEVER], [NEVER, 5]])
         assert cover.worst_loss(starts, [0, 1], np.eye(2, dtype=bool)) == (2, 1)
         assert cover.worst_loss(starts, [0, 1], np.ones((1, 2), bool)) == (0, 0)
         assert cover.worst_loss(starts, [0, 1], np.zeros((1, 2), bool)) == (4, None)
-
-    def test_what_fires_too_early_spoils_a_start(self):
         starts = starts_of([[5, 4]])
         assert cover.value(starts, [0]) == 1.0
         assert cover.value(starts, [0, 1]) == cover.value(starts, choose(starts, 2)) == 0.0
@@ -110,17 +107,14 @@ class TestPrices:
 
     PRICES = Prices(Cost(1.0, 10.0, 2), np.repeat([0, 1], 4))
 
-    def test_boards_of_a_group_and_what_fits_on_them(self):
+    def test_boards_of_a_group_what_fits_on_them_and_what_money_buys(self):
         assert [self.PRICES.of(taxels) for taxels in ([], [0], [0, 1], [0, 4], [0, 1, 2])] == [
             0, 11, 12, 22, 23,
         ]  # fmt: skip
         assert np.flatnonzero(self.PRICES.fits([0], 1)).tolist() == [0, 1, 2, 3]
         assert self.PRICES.fits([0, 1], 2).all()
         assert not self.PRICES.fits([0, 1], 1).any()
-        everywhere = Prices(Cost(1.0, 10.0), np.zeros(8, int))
-        assert everywhere.of(range(8)) == 18
-
-    def test_what_money_buys(self):
+        assert Prices(Cost(1.0, 10.0), np.zeros(8, int)).of(range(8)) == 18
         assert self.PRICES.sizes(range(8), range(1, 4), 23) == [(1, 1), (2, 1), (2, 2), (3, 2)]
         assert Prices(Cost(2.0), np.zeros(8, int)).sizes([0, 1], range(1, 9), 5) == [(1, 1), (2, 1)]
         with pytest.raises(ValueError, match="budget: found 10, allowed 11 or more, the price of 1 of"):
@@ -138,16 +132,12 @@ class TestPrices:
                 assert pick.key == pick.price == self.PRICES.of(pick.taxels) <= budget
                 best = max(cover.value(starts, x) for x in sets if self.PRICES.of(x) <= pick.price)
                 assert pick.success == pytest.approx(best)
-            assert pick.success == max(
-                cover.value(starts, x) for x in sets if self.PRICES.of(x) <= budget
-            )
-            prices, values = zip(*((pick.price, pick.success) for pick in picks), strict=True)
-            assert [*prices] == sorted(set(prices))
-            assert [*values] == sorted(set(values))
+            bought = [(pick.price, pick.success) for pick in picks]
+            assert bought == sorted(set(bought))
 
     def test_the_knee(self):
-        assert knee([0, 10, 20, 30, 40], [0.1, 0.3, 0.8, 0.85, 0.9]) == 2
-        assert knee([0, 10, 20], [0.5, 0.4, 0.3]) == 0
+        assert choice.knee([0, 10, 20, 30, 40], [0.1, 0.3, 0.8, 0.85, 0.9]) == 2
+        assert choice.knee([0, 10, 20], [0.5, 0.4, 0.3]) == 0
 
 
 @cache
@@ -219,20 +209,9 @@ class TestLosses:
         assert names == ("a", "b")
         assert members[0].tolist() == index.tolist()
         assert members[1].sum() == sum(at[1] == "palm" for at in on) + 1
-
-    @pytest.mark.parametrize(
-        ("text", "named"),
-        [
-            ("", "group"),
-            ("group = []", "group: found none, allowed one or more"),
-            ('[[group]]\nname = "a"\ndigits = ["toe"]\n', "toe: unknown"),
-        ],
-    )
-    def test_a_wrong_file_of_groups(self, text, named, tmp_path):
-        hand, file = hands.get("mpl"), tmp_path / "boards.toml"
-        file.write_text(text)
-        with pytest.raises(ValueError, match=named):
-            groups_of(str(file), hand, candidates(DesignFlags(), hand), "survives")
+        file.write_text('[[group]]\nname = "a"\ndigits = ["toe"]\n')
+        with pytest.raises(ValueError, match="toe: unknown"):
+            groups_of(str(file), hand, taxels, "survives")
 
 
 class TestPrediction:
@@ -297,16 +276,6 @@ def judge_of(choice_starts, test_starts, losses, **changes):
     return choice.Judge(pool, {0.2: choice_starts}, {0.2: test_starts})
 
 
-def test_starts_are_resampled_within_their_scenes():
-    """Where every start of one scene succeeds and none of the other, nothing is uncertain."""
-    succeeds = np.zeros((8, NEVER + 1), bool)
-    succeeds[:4, 5] = True
-    starts = starts_of([[5, NEVER]] * 8, succeeds)
-    judge = judge_of(starts, starts, np.eye(2, dtype=bool), scenes={"a": 1, "b": 2})
-    a, b = (choice.Design(judge, {1: [taxel]}, [], "timed") for taxel in (0, 1))
-    assert choice.difference(a, b) == pytest.approx((0.5, 0.5, 0.5))
-
-
 @pytest.mark.slow
 def test_success_after_the_worst_loss_has_no_bias_and_its_interval_holds():
     """Losses that cost alike: each start is felt by one of six taxels at most, so a loss costs 1/6."""
@@ -344,14 +313,7 @@ def test_a_set_that_was_chosen_by_chance_loses_in_other_starts(n, few):
 @pytest.mark.usefixtures("in_tmp", "few_reflexes")
 class TestCommand:
     @pytest.mark.slow
-    def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys, monkeypatch):
-        examined, examine = [], gate.examine
-
-        def noted(*args, **named):
-            examined.append(examine(*args, **named))
-            return examined[-1]
-
-        monkeypatch.setattr(gate, "examine", noted)
+    def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys):
         args = ["design", "--scene", "handover", "--taxels", "1..2", *FEW]
         for out in ("a", "b"):
             assert main([*args, "--out", out]) == 0
@@ -369,12 +331,6 @@ class TestCommand:
         assert "Few starts were judged (3)" in result["verdict"]
         assert max(map(len, said.partition("Touch")[0].splitlines())) <= 80
         assert "worst loss" not in said
-        assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "1",
-                     "--search", "1", "--workers", "1", "--seed", "7"]) == 0  # fmt: skip
-        without = [
-            {one.name: one.reflex for one in found if one.name in gate.BLIND} for found in examined
-        ]
-        assert without[0] == without[-1]  # design and gate mean the same hands
 
     def test_from_python(self):
         few = dict(starts=1, test_starts=2, skin="20mm", beside=(), workers=1)
@@ -387,7 +343,8 @@ class TestCommand:
         args += ["--taxels", "2", "--env", "mpl", "--start-closing"]
         rows = {}
         for waits in ("0.2", "0.35", "0.2 0.35"):
-            found = json.loads(printed(capsys, [*args, *waits.split(), "--json"]))["rows"]
+            assert main([*args, *waits.split(), "--out", f"out {waits}"]) == 0
+            found = json.loads(Path(f"out {waits}/design.json").read_text())["rows"]
             rows[waits] = {row["layout"]: row for row in found}
         both = rows["0.2 0.35"]["chosen"]
         assert both == rows[str(both["start_closing"])]["chosen"]
@@ -396,37 +353,27 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("args", "named"),
         [
-            (["--start-closing", "1"], "start_closing: found 1.0, allowed [0, 1)"),
             (["--scene"], "scene: found none"),
             (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found 0.3, allowed"),
-            (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
-            (["--taxels", "1e9"], "taxels: found '1e9'"),
             (["--taxels", "99", "--skin", "5"], "taxels: found 99, allowed up to the 19 that may be"),
             (["--only", "toe"], "toe: unknown"),
             (["--only", "index", "--not", "index"], "skin: found no place of 4mm"),
-            (["--not", "palm", "distal", "middle", "proximal"], "skin: found no place of 4mm"),
             (["--skin", "xmm"], "skin: found 'xmm'"),
-            (["--beside", "9"], "unknown layout '9'"),
             (["--keep", "gone.toml"], "gone.toml"),
-            (["--scene", "foot"], "scene: found 'foot'"),
             (["--scene", "faulty.toml"], "found faulty.toml, where touch is off or taxels"),
             (["--survives", "toe"], "survives: found 'toe', allowed taxel, digit, segment"),
-            (["--survives", "gone.toml"], "gone.toml"),
-            (["--margin", "30"], "skin: found no place of 4mm"),
-            (["--taxel-threshold", "0", "1", "--out", "x.toml"], "--out: found with 2 sensors or"),
+            (["--taxel-threshold", "0", "1", "--out", "x.toml"], "--out: found with several designs"),
             (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
             (["--env", "foot"], "unknown hand 'foot'; allowed: shadow"),
-            (["--out", "x.png"], "--out: found 'x.png'"),
+            (["--out", "x.png"], "found 'x.png' as a new file, allowed names that end in .toml"),
             (["--out", "mine.toml"], "it is there already"),
             (["--out", "gone/x.toml"], "found no folder 'gone'"),
             (["--sensor", "gone"], "sensor: found 'gone'"),
             (["--budget", "100"], "budget: found 100.0, allowed with a --sensor that has a [cost]"),
-            (["--budget", "nan", "--sensor", "fsr"], "budget: found nan"),
             (["--budget", "0", "--sensor", "fsr"], "budget: found 0.0, allowed (0, inf)"),
             (["--budget", "13", "--sensor", "fsr"], "budget: found 13, allowed 13.9 or more, the"),
             (["--boards", "digit"], "boards: found digit, allowed with a --sensor that has a [cost]"),
-            (["--boards", "toe", "--sensor", "fsr"], "boards: found 'toe', allowed taxel, digit"),
             (["--boards", "two.toml", "--sensor", "fsr"], "in 0 of the groups of two.toml"),
         ],
     )  # fmt: skip
@@ -452,7 +399,6 @@ class TestCommand:
         assert main([*args, "--sensor", "pad.toml", "hard.toml"]) == 0
         said = " ".join(capsys.readouterr().out.split())
         assert "Touch does not pay with hard at 99 N: with 1 taxel for 20 chosen" in said
-        assert "Best set with hard at 99 N, success less that with pad in the same starts: -" in said
         assert main([*args, "--sensor", "pad.toml", "--out", "best"]) == 0
         found = json.loads(Path("best/design.json").read_text())
         assert found["sensor"] == "pad"

@@ -10,9 +10,8 @@ from tactilerl.envs import layouts
 from tactilerl.envs.sensors import Cost
 from tactilerl.pictures.hand_map import Unrolled
 from tactilerl.placement import choice, cover, page
-from tactilerl.placement.candidates import DesignFlags, Pool, groups_of
+from tactilerl.placement.candidates import DesignFlags, Pool, Prices, groups_of
 from tactilerl.placement.cover import NEVER, Starts
-from tactilerl.placement.prices import Prices
 
 from browser import Browser, needs_chromium
 
@@ -22,10 +21,6 @@ READY = """new Promise((go) => {
     wait();
 })"""
 TEXT = "document.getElementById('{}').textContent"
-COLOURS = """[...document.querySelectorAll("p, td, th, button, h1, label")].map((node) => {
-    const look = getComputedStyle(node);
-    return [look.color, look.backgroundColor];
-})"""
 
 
 def own(browser):
@@ -97,7 +92,7 @@ class TestPage:
         assert {*saved.names} == {design.pool.skin.names[taxel] for taxel in taxels}
 
     @pytest.mark.parametrize("browser", [390], indirect=True)
-    def test_on_a_phone_by_keyboard_and_for_weak_eyes(self, design, browser):
+    def test_on_a_phone_by_keyboard_and_on_paper(self, design, browser):
         assert browser.run("document.documentElement.scrollWidth") <= 390
         assert "best one without touch (timed, as the gate finds it) in 0.20" in browser.run(
             TEXT.format("verdict")
@@ -128,31 +123,12 @@ class TestPage:
         address = browser.run("location.hash")
         browser.run(f"choose([]); location.hash = '{address}'; fromAddress()")
         assert browser.run("chosen.size + dead.size") == 3
-        for pair in {tuple(pair) for pair in browser.run(COLOURS)}:
-            assert contrast(*pair) >= 4.5, pair
-        look = "getComputedStyle(document.querySelector('{}')).{}"
-        dot = browser.run(look.format("#map g:not(.chosen) circle", "stroke"))
-        chosen = browser.run(look.format(".chosen circle", "fill"))
-        panel = browser.run(look.format("#map rect", "fill"))
-        assert min(contrast(dot, panel), contrast(chosen, panel)) >= 3.0
         browser("Emulation.setEmulatedMedia", media="print")
         ruler = "[...document.querySelectorAll('.printed')].at(-2).getBoundingClientRect().width"
         assert browser.run(ruler) == pytest.approx(50 * 96 / 25.4, abs=1.0)  # as it says, and so all is
         left, right, *_ = Unrolled(design.pool.hand).extent
         printed = browser.run("document.getElementById('map').getBoundingClientRect().width")
         assert printed == pytest.approx(96 / 25.4 * (right - left), abs=0.5)  # a mm is one on paper
-
-
-def contrast(*colours):
-    """WCAG's ratio of two CSS colours."""
-    shades = []
-    for colour in colours:
-        parts = [float(part) for part in colour[colour.index("(") + 1 : -1].split(",")]
-        parts = parts if len(parts) == 3 or parts[3] else [255.0] * 3
-        linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4
-                  for c in (part / 255 for part in parts[:3])]  # fmt: skip
-        shades.append(float(np.dot([0.2126, 0.7152, 0.0722], linear)))
-    return (max(shades) + 0.05) / (min(shades) + 0.05)
 
 
 def test_the_page_in_the_docs_is_of_today():

@@ -123,7 +123,7 @@ def test_a_record_has_every_step_in_named_columns(name, made, capsys):
     ("args", "words"),
     [
         (["export", HANDOVER, "--out", "x.pb"], ["found 'x.pb'", ".onnx"]),
-        (["export", HANDOVER, "--out", "no/x.onnx"], ["no/x.onnx"]),
+        (["export", HANDOVER, "--out", "no/x.onnx"], ["found no folder 'no'"]),
         (["export", "begun", "--out", "x.onnx"], ["checkpoint.pt: missing"]),
         (["export", "toy", "--out", "x.onnx"], ["LQREnv", "allowed runs of hands"]),
         (["evaluate", HANDOVER, "--record", "x.xls"], ["found 'x.xls'", ".csv"]),

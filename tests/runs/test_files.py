@@ -15,7 +15,6 @@ import pytest
 import torch
 from tactilerl import files
 from tactilerl.commands.cli import main
-from tactilerl.envs import plugins
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
 from tactilerl.runs.store import RunDir
@@ -157,19 +156,6 @@ class TestLock:
         first.send_signal(signal.SIGKILL)
         first.communicate()
         assert main(more) == 0
-
-
-def test_a_module_of_a_saved_run_is_imported_only_when_asked_for(monkeypatch, capsys):
-    code = "import gymnasium as g\ng.register('Id-v0', entry_point='tactilerl.envs.toy:LQREnv')"
-    Path("theirs.py").write_text(code)
-    monkeypatch.syspath_prepend(".")
-    monkeypatch.setattr(plugins, "imported", [])
-    assert main([*TOY, "--env", "theirs:Id-v0", "--total-timesteps", "60", "--out", "run"]) == 0
-    monkeypatch.delitem(sys.modules, "theirs")
-    plugins.imported.clear()
-    fails_with(capsys, RESUME, "of the module theirs", "give --import theirs")
-    assert "theirs" not in sys.modules
-    assert main([*RESUME, "--import", "theirs"]) == 0
 
 
 class TestConfig:

@@ -12,7 +12,7 @@ from tactilerl.scripted import gate, reflexes
 from tactilerl.scripted.gate import HandResult
 from tactilerl.scripted.reflexes import Reflex
 from tactilerl.terminal import console, flags
-from tactilerl.terminal.console import progress
+from tactilerl.terminal.console import Progress
 
 from one_line import fails_with
 
@@ -86,18 +86,6 @@ class TestReflexes:
         assert came < went + 3 <= came + env.task.stays + 2
         assert all(is_closed[went:])
 
-    @pytest.mark.slow
-    def test_a_longer_squeeze_tells_more(self):
-        env = envs.make(scene="handover", touch="absent")
-        starts = range(10_000, 10_020)
-        shortest, longest = min(reflexes.SQUEEZES), max(reflexes.SQUEEZES)
-        won = {
-            squeeze: sum(Reflex("active", 0.04, 1.0, squeeze).play(env, start) for start in starts)
-            for squeeze in (shortest, longest)
-        }
-        assert won[shortest] <= 5
-        assert won[longest] >= 9
-
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
         steps = won(Reflex("touch", 1, 1.0), env, 2)
@@ -157,25 +145,20 @@ def test_bad_input(args, named, capsys):
     fails_with(capsys, ["gate", *args], named)
 
 
-def test_without_a_terminal_one_reads_how_far_it_is(capsys):
-    with progress("playing", 40, is_long=True) as tick:
-        assert capsys.readouterr().err == ""
+def test_of_long_work_one_reads_how_far_it_is_in_a_unit_that_fits(capsys, monkeypatch):
+    Progress("evaluating", 3)()
+    assert capsys.readouterr().err == ""  # so soon
+    monkeypatch.setattr(console, "FIRST", 0.0)
+    tick = Progress("playing", 40)
+    for _ in range(4):
         tick()
-        tick(3)
-        lines = capsys.readouterr().err.splitlines()
-        assert lines[0] == "playing"
-        assert lines[1].startswith("2 %, about ")
-        assert lines[2].startswith("10 %, about ")
-        for _ in range(36):
-            tick()
-        assert len(capsys.readouterr().err.splitlines()) == 8
-
-
-def test_the_time_of_long_work_is_said_early_and_in_a_unit_that_fits(capsys, monkeypatch):
-    monkeypatch.setattr(console, "AT_LATEST", 0.0)
-    with progress("playing", 100_000, is_long=True) as tick:
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("playing: 2 %, about ")
+    assert second.startswith("playing: 10 %, about ")
+    for _ in range(36):
         tick()
-        tick()
-    assert re.fullmatch(r"playing\n0.001 %, about \d+ \w+ left\n", capsys.readouterr().err)
+    assert len(capsys.readouterr().err.splitlines()) == 8
+    Progress("playing", 100_000)()
+    assert re.fullmatch(r"playing: 0.001 %, about \d+ \w+ left\n", capsys.readouterr().err)
     times = {40: "40 s", 100: "2 min", 1500: "25 min", 4 * 3600: "4 h", 10**6: "12 days"}
     assert {seconds: console.about(seconds) for seconds in times} == times

@@ -19,7 +19,6 @@ from browser import Browser, needs_chromium
 from one_line import fails_with, printed
 from study_records import PAPER_LIKE, fail, interrupt, make_study
 
-RESAMPLES = 500
 LOADED = """new Promise((go) => {
     const isThere = () => document.readyState === "complete" && document.title;
     const wait = () => isThere() ? go() : setTimeout(wait, 50);
@@ -27,9 +26,11 @@ LOADED = """new Promise((go) => {
 })"""
 
 
-@pytest.fixture(autouse=True)
-def _few_resamples(monkeypatch):
-    monkeypatch.setattr(analysis.analyse, "__defaults__", (RESAMPLES,))
+@pytest.fixture(autouse=True, scope="module")
+def _few_resamples():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(analysis, "N_RESAMPLES", 500)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(folder):
-    return analysis.analyse(*records.load(folder.path), RESAMPLES)
+    return analysis.analyse(*records.load(folder.path))
 
 
 @pytest.fixture(scope="module")
@@ -84,12 +85,12 @@ class TestNumbers:
         folder = make_study(tmp_path / "s", n_seeds=3)
         lost = next(r for r in folder.study().runs() if (r.group, r.seed) == ("off", 1))
         fail(folder, lost)
-        result = analysis.analyse(*records.load(folder.path), 100)
+        result = analysis.analyse(*records.load(folder.path))
         assert result.setups[0].pairs[lost.setting].seeds == [0, 2]
         assert any("2 of 3 pairs" in said for said in report.answers(result))
 
     def test_one_pair_has_no_interval(self, tmp_path):
-        result = analysis.analyse(*records.load(make_study(tmp_path / "s", n_seeds=1).path), 100)
+        result = analysis.analyse(*records.load(make_study(tmp_path / "s", n_seeds=1).path))
         said = report.answers(result)[0]
         assert said.endswith("too few runs to find a difference, which takes 7 pairs (1 of 1 pairs).")
 
@@ -186,7 +187,7 @@ class TestForReaders:
     @needs_chromium
     def test_no_word_of_a_report_is_wider_than_a_phone(self, tmp_path):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        page = report.write(analysis.analyse(*records.load(folder.path), 100), tmp_path / "r")
+        page = report.write(analysis.analyse(*records.load(folder.path)), tmp_path / "r")
         browser = Browser(page.as_uri(), 320, LOADED)
         try:
             assert browser.run("document.documentElement.scrollWidth") <= 320
@@ -226,7 +227,7 @@ class TestCommonRange:
 
     def record(self, steps, rates, seed=0):
         run = Run(f"r{seed}", "one", "all", "on", seed, "success_rate", {})
-        points = zip(map(str, steps), map(str, rates), strict=True)
+        points = zip(steps, rates, strict=True)
         rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
         return records.Record(run, "done", "", {}, rows)
 
