@@ -246,7 +246,7 @@ class TestLearning:
             return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
 
         space = gym.spaces.Box(np.float32([-np.inf, -np.inf, 0]), np.float32([np.inf, np.inf, 1]))
-        choices = dict(normalize_obs=normalize, taxel_scale=scale)
+        choices = dict(normalize_obs=normalize, taxel_scale=scale, min_std=1.0)  # which taxels ignore
         ppo = trained(make_ppo(scripted(obs=obs, space=space), **choices), 1)
         ppo.collect()
         shown = ppo._batch().obs
