@@ -166,7 +166,7 @@ class TestBatch:
         obs, scale = torch.ones(4, 3), ppo.reward_scale.scale
         values = scale * ppo.critic(obs)
         ppo.episodes[0].rewards[-1] = -10.0 * scale
-        ppo._batch()
+        ppo.prepare()
         assert ppo.reward_scale.scale >= 9.0 * scale
         torch.testing.assert_close(ppo.reward_scale.scale * ppo.critic(obs), values)
 
