@@ -33,7 +33,6 @@ from .networks import MLP, flushed_denormals, start_orthogonal
 from .normalizer import MIN_STD
 from .policy import (
     FlatInputs,
-    Noise,
     Policy,
     Spaces,
     TaxelScale,
@@ -91,6 +90,9 @@ class PPOConfig(LearnerConfig):
     exploration: Literal["fixed", "learned"] = "fixed"
     """Variance of the policy. fixed: --action-variance; learned: one per action dimension, starting
     there."""
+    noise_correlation: Fraction = 0.0
+    """Correlation of exploration noise between successive steps. Noise that lasts gets further: a hand
+    that closes in steps closes now and then, where independent noise only trembles."""
     std_lr: Positive32 | None = None
     """Learning rate of a learned variance (Adam); default: the actor's."""
     orthogonal_init: bool = False
@@ -203,11 +205,29 @@ class Gaussian(nn.Module):
         return -0.5 * (squared + constant) - self.log_std.sum()
 
 
-def gaussian_noise(rng: np.random.Generator, std: Array) -> Noise:
-    """Return a function that adds normal noise of standard deviations `std` (d,) to actions (n, d)."""
-    return lambda actions: (
-        actions + std * rng.standard_normal(actions.shape, dtype=np.float32)
-    )
+class GaussianNoise:
+    """Add normal noise to the actions of one episode, which may last over steps.
+
+    Each action alone is distributed as without `correlation`, and is learned from as if it stood alone
+    (Hollenstein, Martius & Piater 2024).
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, std: Array, correlation: Any = 0.0
+    ) -> None:
+        """Take standard deviations (d,) or (n, d), and correlations between successive steps."""
+        self.rng, self.std = rng, std
+        self.kept = np.float32(correlation)
+        self.new = np.sqrt(1 - np.square(self.kept))
+        self._noise: Array | None = None
+
+    def __call__(self, actions: Array) -> Array:
+        """Return noisy copies of actions (n, d); n is the same in every call."""
+        drawn = self.rng.standard_normal(actions.shape, dtype=np.float32)
+        if self._noise is not None:
+            drawn = self.kept * self._noise + self.new * drawn
+        self._noise = drawn
+        return actions + self.std * drawn
 
 
 class Surrogate(NamedTuple):
@@ -580,5 +600,7 @@ class PPO(Learner):
     @staticmethod
     def as_policy(config: PPOConfig, spaces: Spaces, *parts: Any) -> Policy:
         actor, gaussian, stats = parts
-        explore = partial(gaussian_noise, std=gaussian.std())
+        explore = partial(
+            GaussianNoise, std=gaussian.std(), correlation=config.noise_correlation
+        )
         return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)

@@ -15,6 +15,7 @@ from tactilerl.algos.policy import Policy, Spaces
 from tactilerl.algos.ppo import (
     PPO,
     Gaussian,
+    GaussianNoise,
     PPOConfig,
     Silence,
     explained_variance,
@@ -258,6 +259,15 @@ class TestLearning:
         ppo = trained(make_ppo(scripted(), normalize_obs=True, min_std=10.0), 1)
         ppo.collect()
         assert ppo._batch().obs.std().item() == pytest.approx(0.1, rel=0.2)
+
+    @pytest.mark.parametrize("correlation", [0.0, 0.7, 1.0])
+    def test_noise_lasts_as_long_as_asked_and_is_as_large(self, correlation):
+        explore = GaussianNoise(np.random.default_rng(0), np.float32([0.5]), correlation)
+        noise = np.stack([explore(np.ones((20_000, 1), np.float32)) for _ in range(4)]) - 1.0
+        assert noise.std(axis=1).ravel() == pytest.approx(0.5, abs=0.01)
+        for n_steps in (1, 2):
+            found = np.corrcoef(noise[0, :, 0], noise[n_steps, :, 0])[0, 1]
+            assert found == pytest.approx(correlation**n_steps, abs=0.02)
 
     def test_entropy_and_explained_variance_by_hand(self):
         normal = torch.distributions.Normal(0.0, 0.5)
