@@ -49,6 +49,7 @@ BEYOND: dict[str, dict[str, Any]] = {
         "persistent": replace(
             ROBUST_PPO,
             noise_correlation=0.7,
+            min_std=1.0,
             taxel_scale="each",
             steps_per_epoch=1000,
             minibatch_size=250,
