@@ -28,7 +28,7 @@ from . import Array, DivergenceError, rollout
 from .ddpg_her import DDPGHER, VIEW, Exploration, tested
 from .normalizer import Scaling
 from .policy import OBS, SEEN, Noise, finite
-from .ppo import PPO, ActorLoss, Transitions, gaussian_noise, surrogate
+from .ppo import PPO, ActorLoss, GaussianNoise, Transitions, surrogate
 from .replay import Batch, Relabelled
 from .rollout import REWARD, Episode, Key, summary
 
@@ -432,7 +432,9 @@ class BatchPPO(BatchLearner):
 
     def explore(self, rngs: Rngs) -> Noise:
         stds = self._std()[:, 0].cpu().numpy().repeat(self.n_worlds, axis=0)
-        return gaussian_noise(Draws(rngs, self.env.max_episode_steps), stds)
+        each = [[one.config.noise_correlation] for one in self.learners]
+        lasts = np.repeat(each, self.n_worlds, axis=0)
+        return GaussianNoise(Draws(rngs, self.env.max_episode_steps), stds, lasts)
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""

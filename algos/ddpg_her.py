@@ -89,9 +89,10 @@ class DDPGHERConfig(LearnerConfig):
     norm_clip: Positive32 = 5.0
     """Bound on observations and goals after they are normalized."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit. Around 1, what
-    hardly varies stays small, such as the noise of a joint that stands still; otherwise it is scaled up
-    until it counts as much as what matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit; entries between 0
+    and 1, such as Boolean taxels, have none. With 1, what varies less stays small, such as the noise of
+    a joint that stands still; with a small one, it is scaled up until it counts as much as what
+    matters."""
     taxel_scale: TaxelScale = "each"
     """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
     gain for all, so that together they count as much as 24 normalized inputs, however many they
@@ -120,13 +121,13 @@ class DDPGHERConfig(LearnerConfig):
     """Combination of the gradients of several processes (baselines: sum)."""
     clip_target: bool = True
     """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (baselines), wider
-    once rewards below -1 or above 0 are seen. With --normalize-rewards it follows all rewards."""
+    once rewards below -1 or above 0 are seen. With --normalize-rewards it begins at 0 to 0."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
     since baselines has no done mask; terminal: it is not. Whether a relabelled goal ends the episode
-    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it; else it ends
-    where rewards are as high as at the ends that were seen, if those were higher than all others.
-    """
+    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it. Without one, it
+    ends where its reward is as high as at the ends that were seen, if all of those were higher than
+    the rewards of all other steps."""
     normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
     reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean
@@ -219,7 +220,9 @@ class Exploration:
         chance = rng.random(actions.shape[:-1])[..., None]
         drawn = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
         hold = self.random_hold
-        if self._is_random is None:  # as in any other step
+        if (
+            self._is_random is None
+        ):  # the first step, which has the same share as all others
             is_new, is_held = chance < self.random_eps, np.zeros(chance.shape, bool)
             self._random = drawn
         else:  # a hold ends with probability 1 / hold, and another may follow at once
@@ -257,7 +260,11 @@ class GoalInputs:
 
 
 class DDPGHER(Learner):
-    """Learn by DDPG with hindsight: actor, critic, their targets and the replay."""
+    """Learn by DDPG with hindsight: actor, critic, their targets and the replay.
+
+    A cycle is `collect` and `update`; an epoch is some cycles and `test`. Learners of many runs at once
+    (`batch`) play by themselves; they call `begin`, `wants_more`, `keep`, `rescale` and `learn`.
+    """
 
     replay: Replay
     policy_parts = ("actor", "obs_stats", "goal_stats")
@@ -287,9 +294,11 @@ class DDPGHER(Learner):
         is_single = np.array_equal(goals.low, goals.high)
         her = 0.0 if is_single else REPLAY_P
         replay_p = her if config.replay_p is None else config.replay_p
-        self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
+        config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
+        self.config = config
         parts = self.new_parts(config, self.spaces, comm, generator)
-        self.actor, self.obs_stats, self.goal_stats = parts.values()
+        self.actor = parts["actor"]
+        self.obs_stats, self.goal_stats = parts["obs_stats"], parts["goal_stats"]
         self.actor.to(self.device)
         sizes = (self.n_inputs + n_actions, *config.hidden, 1)
         self.critic = MLP(sizes, generator).to(self.device)
@@ -345,7 +354,7 @@ class DDPGHER(Learner):
         return self.seed, self.comm.rank, purpose, self.cycles
 
     def begin(self) -> None:
-        """Begin a cycle: set what falls over a run."""
+        """Begin a cycle: set what falls over a run, and the random numbers of storing and learning."""
         self.replay.rng = np.random.default_rng(self.key(rollout.LEARN))
         if self.config.anneal_lr:
             self.anneal(self.actor_adam, self.critic_adam)
@@ -361,11 +370,11 @@ class DDPGHER(Learner):
         self.cycles += 1
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
-        lived, limit = usable(episodes), self.config.clip_obs
+        played, limit = usable(episodes), self.config.clip_obs
         gamma = self.config.gamma
-        self._largest_return = max(largest_return(e.rewards, gamma) for e in lived)
-        self.new_slots = self.replay.store(lived)
-        n = sum(map(len, lived))
+        self._largest_return = max(largest_return(e.rewards, gamma) for e in played)
+        self.new_slots = self.replay.store(played)
+        n = sum(map(len, played))
         batch = self.replay.sample(n, self.config.replay_p, self.new_slots)
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
@@ -396,7 +405,7 @@ class DDPGHER(Learner):
         return {
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
-            "mean_q": mean_q * self.reward_scale.unit,
+            "mean_q": mean_q * self.reward_scale.unit,  # as the environment has rewards
             "updates": n,
         }
 
@@ -459,7 +468,7 @@ class DDPGHER(Learner):
         """
         loss, mean_q = actor_loss(self.actor, self.critic, inputs, self.action_l2)
         self.actor_adam.zero_grad()
-        # And not the critic's.
+        # Of the actor alone: the critic, through which it passes, has its own.
         loss.sum().backward(inputs=self.actor_parameters)  # type: ignore[no-untyped-call]
         return torch.stack([loss, mean_q]).detach()
 
@@ -469,7 +478,9 @@ class DDPGHER(Learner):
         config, inputs = self.config, batch.next_obs
         next_actions = self.target_actor(inputs)
         next_values = q_values(self.target_critic, inputs, next_actions)
-        terminal = batch.terminal * (config.termination == "terminal")
+        terminal = batch.terminal
+        if config.termination == "bootstrap":
+            terminal = torch.zeros_like(terminal)
         scale = self.reward_scale
         unit, low, high = scale.unit, scale.lowest, scale.highest
         span = (low / unit, high / unit) if config.clip_target else None
@@ -486,10 +497,11 @@ class DDPGHER(Learner):
                 old.lerp_(new, 1.0 - self.config.polyak)
 
     def rescale(self, rewards: Array) -> float:
-        """Move the bounds of rewards to hold those that were drawn (n,), and the scale with them.
+        """Follow the rewards that were drawn (n,), of all ranks: their bounds, and a running scale.
 
-        A relabelled reward may exceed all returns that were lived. Returns the factor for the critics'
-        outputs, so that values in the environment's unit stay.
+        The scale is what makes the largest return so far as large as that of a reward of 1 in every
+        step; a relabelled reward may exceed all returns that were played. Returns the factor for the
+        critics' outputs, so that values in the environment's unit stay.
         """
         mine = rewards.min(), rewards.max(), self._largest_return
         lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)
@@ -506,7 +518,7 @@ class DDPGHER(Learner):
         gradients: list[Any] = [p.grad for p in parameters]
         vector = parameters_to_vector(gradients)
         self.comm.sum_(vector)
-        vector_to_parameters(vector, gradients)
+        vector_to_parameters(vector, gradients)  # writes into the gradients
 
     # -- the policy --------------------------------------------------------------------------
 

@@ -44,7 +44,8 @@ class Learner(ABC):
     """Learn from episodes: `collect` and `update` in turn. A subclass is one algorithm.
 
     Random numbers follow from the seed and the counters, so these and the states of its parts are all
-    that a checkpoint needs.
+    that a checkpoint needs after `update`. Networks start from the seed alone, so they are the same on
+    all ranks.
     """
 
     policy_parts: ClassVar[Sequence[str]]
@@ -110,7 +111,7 @@ class Learner(ABC):
         raise NotImplementedError
 
     def policy(self) -> Policy:
-        """Return what acts now; good until the next update."""
+        """Return what acts now; on the CPU it shares the actor's weights, so only until `update`."""
         config = self.config.acting(self.progress_remaining)
         parts = (getattr(self, name) for name in self.policy_parts)
         return self.as_policy(config, self.spaces, *parts)
@@ -121,7 +122,7 @@ class Learner(ABC):
 
     @abstractmethod
     def update(self) -> dict[str, float]:
-        """Learn from it; return losses and the like."""
+        """Learn from what was collected; return losses and other metrics."""
 
     def test(self) -> dict[str, float]:
         """Return how good it is without exploration at the end of an epoch; empty if not asked."""
@@ -184,9 +185,9 @@ class Learner(ABC):
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the rest of the run depends on, except the replay."""
-        states = {name: getattr(self, name).state_dict() for name in self.saved}
-        return states | {name: getattr(self, name) for name in self.plain}
+        """Return what the rest of the run depends on, not copied; a replay is saved by itself."""
+        state = {name: getattr(self, name).state_dict() for name in self.saved}
+        return state | {name: getattr(self, name) for name in self.plain}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken."""
@@ -208,14 +209,14 @@ class Counts:
 
 
 class RewardScale(Counts):
-    """Follow the rewards of a run, and divide them by a running scale where asked.
+    """Follow the bounds of a run's rewards and, where asked, the largest scale of its returns so far.
 
-    As the scale grows, the critics' last layers shrink, so that values in the environment's unit stay
-    (PopArt, van Hasselt et al. 2016).
+    Rewards are divided by that scale. As it grows, the critics' last layers shrink, so that values in
+    the environment's unit stay (PopArt, van Hasselt et al. 2016).
     """
 
     def __init__(self, is_running: bool, lowest: float = 0.0) -> None:
-        """Begin with rewards between `lowest` and 0."""
+        """Begin with rewards between `lowest` and 0; without `is_running`, the scale stays 1."""
         self.is_running, self.lowest, self.highest = is_running, lowest, 0.0
         self.scale = 0.0 if is_running else 1.0  # 0 before the first reward
 
@@ -233,7 +234,8 @@ class RewardScale(Counts):
         """Raise a running scale to this, where it is larger; return the factor for critics' outputs."""
         if not self.is_running or scale <= self.scale:
             return 1.0
-        factor = (self.scale / scale) or 1.0  # a new critic stays as it is
+        is_first = self.scale == 0.0  # a new critic stays as it is
+        factor = 1.0 if is_first else self.scale / scale
         self.scale = scale
         return factor
 

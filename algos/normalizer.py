@@ -11,7 +11,8 @@ from torch import Tensor
 
 from . import Array, Communicator
 
-ARRAYS, NUMBERS = ("as_is", "block", "mean", "squares"), ("count", "block_squares")
+ARRAYS = "as_is", "block", "min_std", "mean", "squares"
+NUMBERS = "count", "block_squares"
 MIN_STD = 0.01
 """Default floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
 BLOCK_NORM = 24.0
@@ -42,12 +43,14 @@ class Normalizer:
     """Track running moments of columns and scale each to mean 0 and standard deviation 1.
 
     Moments are merged batch by batch in float64 (Chan, Golub & LeVeque 1979), because
-    E[x²] - E[x²] loses every digit when the mean is large against the spread.
+    E[x²] - E[x]² loses every digit when the mean is large against the spread.
 
     Two masks, bool (size,), name columns that are treated otherwise. Those of `as_is` are not
     changed at all. Those of `block` share one gain and keep their zero: the block's squared norm
     is `BLOCK_NORM` on average, however many columns it has and however rarely each is not zero. Its
     values are cut at ±`clip` like all others, which a rare single column may reach.
+
+    Columns are divided by at least `min_std`: one for all, or one each (size,).
     """
 
     def __init__(
@@ -57,10 +60,11 @@ class Normalizer:
         clip: float = math.inf,
         as_is: Array | None = None,
         block: Array | None = None,
-        min_std: float = MIN_STD,
+        min_std: float | Array = MIN_STD,
     ) -> None:
         nothing = np.zeros(size, bool)
-        self.comm, self.clip, self.min_std = comm, clip, min_std
+        self.comm, self.clip = comm, clip
+        self.min_std = np.full(size, min_std, np.float64)
         self.as_is = nothing if as_is is None else as_is
         self.block = nothing if block is None else block
         self.count = 0.0
@@ -112,6 +116,7 @@ class Normalizer:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Put back what `state_dict` returned."""
         for name in ARRAYS:
-            setattr(self, name, state[name].numpy().copy())
+            if name in state:  # 0.5.0 saved no `min_std`
+                setattr(self, name, state[name].numpy().copy())
         for name in NUMBERS:
             setattr(self, name, float(state[name]))

@@ -130,13 +130,13 @@ def input_stats(
     """Return moments of flat observations, before anything was seen.
 
     Entries between 0 and 1, such as Boolean taxels, are scaled as `taxel_scale` says (see
-    `PPOConfig.taxel_scale`), all others where `normalize` is true. None is divided
-    by less than `min_std`.
+    `PPOConfig.taxel_scale`), all others where `normalize` is true, divided by at least `min_std`.
     """
     taxels = may_be_boolean(space)
     as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalize))
     block = taxels & (taxel_scale == "block")
-    return Normalizer(len(taxels), comm, clip, as_is, block, min_std)
+    floors = np.where(taxels, MIN_STD, min_std)
+    return Normalizer(len(taxels), comm, clip, as_is, block, floors)
 
 
 class Policy:

@@ -1,8 +1,9 @@
-"""Proximal policy optimisation (Schulman et al. 2017), as the paper uses it.
+"""Proximal policy optimisation (Schulman et al. 2017), as the paper that we reproduce uses it.
 
-Read from top to bottom: hyperparameters, equations, the learner. What the paper leaves open is as in
-PPO-for-Beginners (Yu 2023), the code that the paper used: whole episodes, GAE with returns = advantage
-+ value, advantages normalized over the batch, an Adam for each network.
+Read from top to bottom: hyperparameters, equations, the judge of silent epochs, the learner (its common
+part is in `learner`). What that paper leaves open is as in PPO-for-Beginners (Yu 2023), its code: whole
+episodes, GAE with returns = advantage + value, advantages normalized over the batch, an Adam for each
+network. There is no entropy bonus, no clipping of values and no weight of the value loss.
 """
 
 from __future__ import annotations
@@ -32,7 +33,6 @@ from .networks import MLP, flushed_denormals, start_orthogonal
 from .normalizer import MIN_STD
 from .policy import (
     FlatInputs,
-    Noise,
     Policy,
     Spaces,
     TaxelScale,
@@ -90,6 +90,9 @@ class PPOConfig(LearnerConfig):
     exploration: Literal["fixed", "learned"] = "fixed"
     """Variance of the policy. fixed: --action-variance; learned: one per action dimension, starting
     there."""
+    noise_correlation: Fraction = 0.0
+    """Correlation of exploration noise between successive steps. Noise that lasts gets further: a hand
+    that closes in steps closes now and then, where independent noise only trembles."""
     std_lr: Positive32 | None = None
     """Learning rate of a learned variance (Adam); default: the actor's."""
     orthogonal_init: bool = False
@@ -99,9 +102,10 @@ class PPOConfig(LearnerConfig):
     """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
     Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit. Around 1, what
-    hardly varies stays small, such as the noise of a joint that stands still; otherwise it is scaled up
-    until it counts as much as what matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit; entries between 0
+    and 1, such as Boolean taxels, have none. With 1, what varies less stays small, such as the noise of
+    a joint that stands still; with a small one, it is scaled up until it counts as much as what
+    matters."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
     all, so that together they count as much as 24 normalized inputs, however many they are; each:
@@ -111,16 +115,17 @@ class PPOConfig(LearnerConfig):
     learning rate then means the same, whatever unit rewards have."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of a time limit. bootstrap: the return continues with the critic's value of the last
-    observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100.
-    """
+    observation, cut to the range of its other values; terminal: the return ends. In the paper's task a
+    time-out is a failure, with -100."""
     anneal_lr: bool = False
     """Decay all learning rates to zero, linearly over the run (in the paper's code, not its text)."""
     target_kl: Positive32 | None = None
-    """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the paper's
-    code, not in its text)."""
+    """End an epoch's passes, the critic's too, after one whose last minibatch has a larger KL
+    divergence from the old policy (in the paper's code, not in its text)."""
     undo_silent: bool = False
-    """Do not update the actor from epochs in which every episode fails alike, and undo the update
-    before them. A policy that meets no reward would otherwise learn from noise."""
+    """Do not update the actor from epochs in which every episode fails, and undo the update before
+    them. A policy that meets no reward would otherwise learn from noise. What a failure is shows once
+    episodes differ; until then, every epoch is learned from."""
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
@@ -200,11 +205,29 @@ class Gaussian(nn.Module):
         return -0.5 * (squared + constant) - self.log_std.sum()
 
 
-def gaussian_noise(rng: np.random.Generator, std: Array) -> Noise:
-    """Return a function that adds normal noise of standard deviations `std` (d,) to actions (n, d)."""
-    return lambda actions: (
-        actions + std * rng.standard_normal(actions.shape, dtype=np.float32)
-    )
+class GaussianNoise:
+    """Add normal noise to the actions of one episode, which may last over steps.
+
+    Each action alone is distributed as without `correlation`, and is learned from as if it stood alone
+    (Hollenstein, Martius & Piater 2024).
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, std: Array, correlation: Any = 0.0
+    ) -> None:
+        """Take standard deviations (d,) or (n, d), and correlations between successive steps."""
+        self.rng, self.std = rng, std
+        self.kept = np.float32(correlation)
+        self.new = np.sqrt(1 - np.square(self.kept))
+        self._noise: Array | None = None
+
+    def __call__(self, actions: Array) -> Array:
+        """Return noisy copies of actions (n, d); n is the same in every call."""
+        drawn = self.rng.standard_normal(actions.shape, dtype=np.float32)
+        if self._noise is not None:
+            drawn = self.kept * self._noise + self.new * drawn
+        self._noise = drawn
+        return actions + self.std * drawn
 
 
 class Surrogate(NamedTuple):
@@ -238,17 +261,21 @@ class ActorLoss(NamedTuple):
 
 
 Verdict = Literal["learn", "wait", "undo"]
+"""What becomes of the actor: it is updated; it stays; it goes back to before its last update."""
 
 
 class Silence(Counts):
-    """Judge whether the last update is to blame that every episode fails alike.
+    """Judge a silent epoch, in which every episode fails: is the actor's last update to blame?
 
-    It counts episodes by their returns: those that failed, with the lowest return of an epoch in which
-    returns differed, and all others. Both fade by `KEEP` from one update to the next, so they speak of
-    the last five or so. An update is undone once as many failures in a row as came since had a
-    probability below `LEVEL` before it: for a success rate between 0 and 1 that the counts leave
-    uncertain (Beta distribution, Jeffreys' prior). So of updates that change nothing, about one in
-    fifty is undone. After that, nothing is judged until there is another update.
+    - Some episode did not fail: learn.
+    - All failed, as chance may have it: wait. The critic learns, the actor does not.
+    - All failed, in so many episodes since the last update that the policy before it would have done so
+      with a probability below `LEVEL`: undo. Nothing more is undone until there is another update.
+
+    A failure has the lowest return of an epoch in which returns differed. The policy before the update
+    is known by its failures and its other episodes, which fade by `KEEP` from one update to the next:
+    they speak of the last five or so. Its success rate is what they leave uncertain (Beta distribution,
+    Jeffreys' prior). Of updates that change nothing, about one in fifty is undone.
     """
 
     LEVEL, KEEP, PRIOR = 0.02, 0.8, 0.5
@@ -256,18 +283,17 @@ class Silence(Counts):
     def __init__(self) -> None:
         self.failure = -math.inf  # the return of a failure; -inf until returns differed
         self.failed = self.others = 0.0  # episodes before the last update
-        self.failed_since = 0  # all episodes since
+        self.failed_since = 0  # episodes since, all of them failures
         self.can_undo = False
 
     def judge(self, returns: Sequence[float]) -> Verdict:
-        """Return what an epoch's returns say: learn from it, or not, or undo the last update, too."""
+        """Return what an epoch's returns say; one at least."""
         lowest, highest, n = min(returns), max(returns), len(returns)
-        is_alike = lowest == highest
-        if (is_alike and lowest == self.failure) or highest < self.failure:
+        if highest <= self.failure:
             return self._judge_failures(n)
-        if is_alike and self.failure == -math.inf:
+        if lowest == highest and self.failure == -math.inf:
             return "learn"  # nobody knows yet what a failure is
-        if not is_alike and lowest != self.failure:
+        if lowest < highest and lowest != self.failure:
             # Another return is a failure now, so counts begin anew. Where rewards are dense, that is
             # in nearly every epoch, and nothing is ever undone.
             self.failure, self.failed, self.others, self.failed_since = lowest, 0, 0, 0
@@ -278,6 +304,7 @@ class Silence(Counts):
         return "learn"
 
     def _judge_failures(self, n: int) -> Verdict:
+        """Return whether to undo after `n` failures more."""
         self.failed_since += n
         failed, others = self.failed + self.PRIOR, self.others + self.PRIOR
         log_p = betaln(failed + self.failed_since, others) - betaln(failed, others)
@@ -293,7 +320,7 @@ class Transitions(NamedTuple):
     obs: Tensor
     actions: Tensor
     log_prob: Tensor
-    """Log density of the actions when they were taken."""
+    """Log density of the actions, which are not clipped, by the actor that took them."""
     advantages: Tensor
     returns: Tensor
     values: Tensor
@@ -301,7 +328,11 @@ class Transitions(NamedTuple):
 
 
 class PPO(Learner):
-    """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
+    """Learn by proximal policy optimisation, from the whole episodes of one epoch after another.
+
+    An epoch is `collect` and `update`. Learners of many runs at once (`batch`) play and step the
+    networks themselves; they call `begin`, `wants_more`, `keep`, `prepare` and `after_update`.
+    """
 
     policy_parts = ("actor", "gaussian", "obs_stats")
     trained = ("critic", "actor_adam", "std_adam", "critic_adam")
@@ -356,7 +387,8 @@ class PPO(Learner):
 
     def key(self, purpose: int) -> rollout.Key:
         """Return the key of this epoch's random numbers, for one of the purposes in `rollout`."""
-        return self.seed, 0, purpose, self.epochs
+        rank = 0
+        return self.seed, rank, purpose, self.epochs
 
     def begin(self) -> None:
         """Begin an epoch: anneal learning rates."""
@@ -370,7 +402,6 @@ class PPO(Learner):
     def keep(self, episodes: list[Episode]) -> dict[str, float]:
         """Keep the epoch's episodes to learn from; return counts and means."""
         self.episodes = usable(episodes)
-        # So an epoch learns with the key after the one that it was played with.
         self.epochs += 1
         stats = summary(episodes)
         self.env_steps += int(stats.pop("steps"))
@@ -385,7 +416,8 @@ class PPO(Learner):
         thread where there are two cores. They meet after it, where `target_kl` may end the passes. In a
         silent epoch, only the critic is updated.
         """
-        config, (batch, verdict) = self.config, self.prepare()
+        config = self.config
+        batch, verdict = self.prepare()
         learns = verdict == "learn"
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
@@ -412,25 +444,30 @@ class PPO(Learner):
         return figures | self.after_update(batch, verdict, len(value_losses))
 
     def prepare(self) -> tuple[Transitions, Verdict]:
-        """Return what to learn from, and the verdict on the last update: that is kept, or undone."""
+        """Return what to learn from, and what becomes of the actor, whose last update may be undone."""
+        self._grow_reward_scale()
         batch = self._batch()  # its log_prob is of the actor that played
         verdict = self._judge()
         if verdict == "undo":
             restore(self.undoable, self.before_update)
-        elif verdict == "learn" and self.silence.can_undo:
+        elif self.config.undo_silent and verdict == "learn":
             self.before_update = states(self.undoable)
         return batch, verdict
 
+    def _grow_reward_scale(self) -> None:
+        """Raise the unit of rewards to the epoch's largest return; the critic's values stay."""
+        returns = (largest_return(e.rewards, self.config.gamma) for e in self.episodes)
+        self.critic.scale_outputs(self.reward_scale.grow(max(returns)))
+
     def _judge(self) -> Verdict:
-        """Return what the epoch's returns say of the last update."""
-        # Returns of episodes that the physics cut off say nothing.
-        whole = [e for e in self.episodes if not e.faults["diverged"]]
-        if not (self.config.undo_silent and whole):
+        """Return what the returns say; those of episodes that the physics cut off say nothing."""
+        if not self.config.undo_silent:
             return "learn"
-        return self.silence.judge([sum(e.rewards) for e in whole])
+        whole = [e for e in self.episodes if not e.faults["diverged"]]
+        return self.silence.judge([sum(e.rewards) for e in whole]) if whole else "wait"
 
     def shuffled(self, n: int) -> Iterator[Sequence[Tensor]]:
-        """Yield each pass over a batch of `n` transitions: the rows of each of its minibatches."""
+        """Yield for each pass over a batch of `n` transitions the rows of its minibatches."""
         rng = np.random.default_rng(self.key(rollout.LEARN))
         for _ in range(self.config.n_passes):
             order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
@@ -439,7 +476,7 @@ class PPO(Learner):
     def after_update(
         self, batch: Transitions, verdict: Verdict, n_updates: int
     ) -> dict[str, float]:
-        """Take the epoch's observations into the moments; return what there is to say beside losses."""
+        """Take the epoch's observations into the moments, for the next; return its other metrics."""
         self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self.episodes]))
         return {
             "explained_variance": explained_variance(batch.values, batch.returns),
@@ -499,21 +536,17 @@ class PPO(Learner):
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
-        config = self.config
-        # Where the unit of rewards grows, the critic's values in the old one stay.
-        largest = max(largest_return(e.rewards, config.gamma) for e in self.episodes)
-        self.critic.scale_outputs(self.reward_scale.grow(largest))
         inputs = FlatInputs(self.obs_stats.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
         values = [self.critic(seen).squeeze(-1).cpu().double().numpy() for seen in obs]
         acted_on = torch.cat([seen[:-1] for seen in obs])
         taken = np.concatenate([np.stack(e.actions) for e in self.episodes])
+        columns = (taken, *self._targets(values))
         actions, advantages, returns, predicted = (
             torch.from_numpy(column.astype(np.float32)).to(self.device)
-            for column in (taken, *self._targets(values))
+            for column in columns
         )
-        # Of the actor that played; where it is then undone, this epoch does not update it.
         log_prob = self.gaussian.log_prob(actions, self.actor(acted_on))
         return Transitions(acted_on, actions, log_prob, advantages, returns, predicted)
 
@@ -524,12 +557,12 @@ class PPO(Learner):
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        # No value of a last observation is ever learned. Where it is like no other, as with time in
-        # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
+        # Ours: the value of a last observation is cut, since none is ever learned. Where it is like no
+        # other, as with time in the observation, returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
-            goes_on = self._goes_on(episode)
-            last_value = np.clip(each[-1], lowest, highest) if goes_on else 0.0
+            bootstraps = self._bootstraps(episode)
+            last_value = np.clip(each[-1], lowest, highest) if bootstraps else 0.0
             rewards = np.array(episode.rewards) / self.reward_scale.unit
             advantages.append(
                 gae(rewards, each[:-1], last_value, config.gamma, config.gae_lambda)
@@ -538,8 +571,8 @@ class PPO(Learner):
         returns = finite(advantage + predicted, "a return")
         return normalize(advantage), returns, predicted
 
-    def _goes_on(self, episode: Episode) -> bool:
-        """Return whether more would have followed: always where the physics diverged."""
+    def _bootstraps(self, episode: Episode) -> bool:
+        """Return whether the return continues: at a time limit, and always where physics diverged."""
         is_cut_off = self.config.truncation == "bootstrap" and not episode.terminated
         return bool(episode.faults["diverged"]) or is_cut_off
 
@@ -567,5 +600,7 @@ class PPO(Learner):
     @staticmethod
     def as_policy(config: PPOConfig, spaces: Spaces, *parts: Any) -> Policy:
         actor, gaussian, stats = parts
-        explore = partial(gaussian_noise, std=gaussian.std())
+        explore = partial(
+            GaussianNoise, std=gaussian.std(), correlation=config.noise_correlation
+        )
         return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)

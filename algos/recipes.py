@@ -32,18 +32,27 @@ STEADY_DDPG = DDPGHERConfig(
 SCALED = replace(
     STEADY_DDPG, normalize_rewards=True, termination="terminal", action_l2=0.1
 )
+ROBUST_PPO = replace(
+    STEADY_PPO,
+    steps_per_epoch=500,
+    action_variance=0.2,
+    std_lr=1e-3,
+    normalize_rewards=True,
+    taxel_scale="block",
+    undo_silent=True,
+    anneal_lr=True,
+)
 BEYOND: dict[str, dict[str, Any]] = {
     "ppo": {
         "steady": STEADY_PPO,
-        "robust": replace(
-            STEADY_PPO,
-            steps_per_epoch=500,
-            action_variance=0.2,
-            std_lr=1e-3,
-            normalize_rewards=True,
-            taxel_scale="block",
-            undo_silent=True,
-            anneal_lr=True,
+        "robust": ROBUST_PPO,
+        "persistent": replace(
+            ROBUST_PPO,
+            noise_correlation=0.7,
+            min_std=1.0,
+            taxel_scale="each",
+            steps_per_epoch=1000,
+            minibatch_size=250,
         ),
     },
     "ddpg_her": {

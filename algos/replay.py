@@ -13,7 +13,7 @@ from . import Array
 from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
-Ends = Callable[[Array, Array], Array | None]
+Terminated = Callable[[Array, Array], Array | None]
 COLUMNS = ("obs", "desired", "achieved", "action", "terminal")
 
 
@@ -58,11 +58,11 @@ class Replay:
         max_steps: int,
         sizes: tuple[int, int, int],
         reward: Reward,
-        ends: Ends | None = None,
+        compute_terminated: Terminated | None = None,
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
 
-        Without `ends`, a new goal leaves the episode's end as it was.
+        Without `compute_terminated`, a new goal leaves the episode's end as it was.
 
         Raises ValueError when not a single episode has room.
         """
@@ -73,8 +73,8 @@ class Replay:
         self.n_slots, self.max_steps = capacity // max_steps, max_steps
         n_obs, n_goal, n_actions = sizes
         widths = n_obs, n_goal, n_goal, n_actions, 1
-        self._ends_of_parts = np.cumsum([n_obs, n_goal])  # of an observation
-        self.reward, self.ends = reward, ends
+        self._part_ends = np.cumsum([n_obs, n_goal])  # of an observation
+        self.reward, self.compute_terminated = reward, compute_terminated
         self.n_episodes = 0
         # Zeros take memory page by page, when they are written to.
         shape = self.n_slots, max_steps + 1
@@ -97,15 +97,15 @@ class Replay:
     def require_rewards(self, episode: Episode) -> None:
         """Raise ValueError when an episode's rewards do not follow from its goals.
 
-        Those of relabelled transitions do.
+        Rewards of relabelled transitions are computed so.
         """
-        lived = np.array(episode.rewards)
+        given = np.array(episode.rewards)
         _, desired, achieved = self._parts(episode)
         again = self.reward(achieved[1:], desired[1:])
-        if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
+        if np.shape(again) != given.shape or not np.allclose(again, given, 1e-3, 1e-4):
             raise ValueError(
                 f"compute_reward: found {_short(again)} for an episode's goals, allowed what its steps "
-                f"gave: an array with a reward for each row of goals, here {_short(lived)}"
+                f"gave: an array with a reward for each row of goals, here {_short(given)}"
             )
 
     # -- storing -----------------------------------------------------------------------------
@@ -125,7 +125,7 @@ class Replay:
 
     def _parts(self, episode: Episode) -> list[Array]:
         """Return observations, desired and achieved goals (length + 1, ...) of an episode."""
-        return np.split(np.stack(episode.obs), self._ends_of_parts, axis=1)
+        return np.split(np.stack(episode.obs), self._part_ends, axis=1)
 
     def _put(self, slot: int, episode: Episode) -> None:
         """Write an episode into a slot."""
@@ -166,7 +166,7 @@ class Replay:
         is_new = self.rng.random(n) < replay_p
         ahead = (self.rng.random(n) * (self._lengths[slot] - t)).astype(np.int64)
         achieved, goal = self._columns["achieved"], self._columns["desired"][slot, t]
-        goal[is_new] = achieved[slot[is_new], (t + 1 + ahead)[is_new]]
+        goal[is_new] = achieved[slot[is_new], (t + 1 + ahead)[is_new]]  # in a copy
         following = achieved[slot, t + 1]
         reward = np.asarray(self.reward(following, goal), np.float32)
         was_terminal = self._columns["terminal"][slot, t, 0] == 1
@@ -183,21 +183,19 @@ class Replay:
     ) -> Array:
         """Return whether transitions end the episode, for a new goal where it is relabelled.
 
-        The environment says it; else rewards do, where with their own goals all transitions that ended
-        had higher ones than all that did not. Otherwise the goal is taken to have no part in it.
+        The environment says it; else rewards do, where with their own goals every transition that ended
+        an episode had a higher one than every other. Otherwise it is as with the own goal.
         """
-        if self.ends is None:
+        if self.compute_terminated is None:
             return was_terminal
-        ends = self.ends(achieved[is_relabelled], goal[is_relabelled])
-        if ends is None:
+        terminal = self.compute_terminated(achieved, goal)
+        if terminal is None:
             lowest = self._lowest_ending_reward()
             others = reward[~is_relabelled & ~was_terminal]  # of this draw only
             if not len(others) or lowest <= others.max():
                 return was_terminal
-            ends = reward[is_relabelled] >= lowest
-        terminal = was_terminal.copy()
-        terminal[is_relabelled] = ends
-        return terminal
+            terminal = reward >= lowest
+        return np.where(is_relabelled, terminal, was_terminal)
 
     def _lowest_ending_reward(self) -> float:
         """Return the lowest reward of all transitions that ended an episode; inf without any."""
@@ -210,11 +208,11 @@ class Replay:
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
-        ends = np.cumsum(self._lengths[slots])
-        pick = self.rng.integers(ends[-1], size=n)
-        which = np.searchsorted(ends, pick, side="right")
+        total = np.cumsum(self._lengths[slots])
+        pick = self.rng.integers(total[-1], size=n)
+        which = np.searchsorted(total, pick, side="right")
         slot = slots[which]
-        return slot, pick - (ends[which] - self._lengths[slot])
+        return slot, pick - (total[which] - self._lengths[slot])
 
     # -- saving ------------------------------------------------------------------------------
 

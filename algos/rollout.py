@@ -19,7 +19,7 @@ from .policy import Policy, finite
 
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
 REWARD = "the reward of the environment"
-# Steps of an episode that is thought to have an end.
+# Steps after which an episode is taken to have no end.
 MAX_LENGTH = 20_000
 # Episodes in a row without a step, from which nothing can be learned.
 MAX_FAILURES = 100
@@ -40,7 +40,7 @@ class Episode:
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
     success: float = math.nan
-    """Success at the end, 1 or 0; nan where the environment does not say, 0 where ours diverged."""
+    """Success at the end, 1 or 0; nan where the environment does not say, 0 where physics diverged."""
     held: int = 0
     """Steps for which success had stood by the end."""
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))

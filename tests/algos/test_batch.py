@@ -106,6 +106,7 @@ PPO_CONFIG = replace(
     n_passes=3,
     critic_lr=1e-2,
     target_kl=0.02,
+    noise_correlation=0.5,
 )
 HER_CONFIG = replace(
     recipe("ddpg_her", "robust"), **SMALL, n_batches=6, batch_size=32, target_update_interval=4,

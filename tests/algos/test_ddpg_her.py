@@ -292,9 +292,10 @@ class TestUpdate:
         torch.testing.assert_close([p.grad for p in learner.critic_parameters], [*of_critic])
         torch.testing.assert_close(got, torch.stack([critic_loss, actor_loss, value]).detach())
 
-    def test_the_floor_is_of_observations_not_of_goals(self):
+    def test_the_floor_is_of_observations_not_of_goals_nor_taxels(self):
         learner = trained(1, make(GoalEnv(), min_std=7.0))
-        assert (learner.obs_stats.std == 7.0).all()
+        assert (learner.obs_stats.std[:-1] == 7.0).all()
+        assert learner.obs_stats.std[-1] < 1.0
         assert (learner.goal_stats.std < 7.0).all()
 
     def test_what_is_observed_is_cut_before_it_is_normalized(self):

@@ -15,6 +15,7 @@ from tactilerl.algos.policy import Policy, Spaces
 from tactilerl.algos.ppo import (
     PPO,
     Gaussian,
+    GaussianNoise,
     PPOConfig,
     Silence,
     explained_variance,
@@ -166,7 +167,7 @@ class TestBatch:
         obs, scale = torch.ones(4, 3), ppo.reward_scale.scale
         values = scale * ppo.critic(obs)
         ppo.episodes[0].rewards[-1] = -10.0 * scale
-        ppo._batch()
+        ppo.prepare()
         assert ppo.reward_scale.scale >= 9.0 * scale
         torch.testing.assert_close(ppo.reward_scale.scale * ppo.critic(obs), values)
 
@@ -246,7 +247,7 @@ class TestLearning:
             return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
 
         space = gym.spaces.Box(np.float32([-np.inf, -np.inf, 0]), np.float32([np.inf, np.inf, 1]))
-        choices = dict(normalize_obs=normalize, taxel_scale=scale)
+        choices = dict(normalize_obs=normalize, taxel_scale=scale, min_std=1.0)  # which taxels ignore
         ppo = trained(make_ppo(scripted(obs=obs, space=space), **choices), 1)
         ppo.collect()
         shown = ppo._batch().obs
@@ -258,6 +259,15 @@ class TestLearning:
         ppo = trained(make_ppo(scripted(), normalize_obs=True, min_std=10.0), 1)
         ppo.collect()
         assert ppo._batch().obs.std().item() == pytest.approx(0.1, rel=0.2)
+
+    @pytest.mark.parametrize("correlation", [0.0, 0.7, 1.0])
+    def test_noise_lasts_as_long_as_asked_and_is_as_large(self, correlation):
+        explore = GaussianNoise(np.random.default_rng(0), np.float32([0.5]), correlation)
+        noise = np.stack([explore(np.ones((20_000, 1), np.float32)) for _ in range(4)]) - 1.0
+        assert noise.std(axis=1).ravel() == pytest.approx(0.5, abs=0.01)
+        for n_steps in (1, 2):
+            found = np.corrcoef(noise[0, :, 0], noise[n_steps, :, 0])[0, 1]
+            assert found == pytest.approx(correlation**n_steps, abs=0.02)
 
     def test_entropy_and_explained_variance_by_hand(self):
         normal = torch.distributions.Normal(0.0, 0.5)

@@ -94,7 +94,7 @@ class TestRelabelling:
         def ends(achieved, desired):
             return (achieved == desired).all(axis=-1) if says else None
 
-        replay.ends = ends
+        replay.compute_terminated = ends
         replay.store([first, second])
         batch = replay.sample(2000, 0.8)
         is_new = batch.goal[:, 0] > 0

@@ -46,7 +46,7 @@ class TestOtherLearner:
             config = configure({"scene": scene, "algo": "ddpg_her"})
             assert (config.run.total_timesteps, config.learner.random_hold) == (steps, hold)
         config = configure({"scene": "handover"})
-        assert (config.run.algo, config.run.total_timesteps) == ("ppo", 30_000)
+        assert (config.run.algo, config.run.total_timesteps) == ("ppo", 24_000)
 
     @pytest.mark.parametrize(
         ("train", "steps", "n_batches"),
