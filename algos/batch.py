@@ -94,10 +94,9 @@ class Networks:
         """Copy the rows of run `i` into what it has alone."""
         (module, adam), rows = self.runs[i], self.rows[:, i, self.places[i]]
         parameters = [*module.parameters()]
-        for p, part in zip(
-            parameters, rows.split([p.numel() for p in parameters], 1), strict=True
-        ):
-            value, *moments = part.unflatten(1, p.shape)
+        parts = torch.split(rows, [p.numel() for p in parameters], dim=1)
+        for p, part in zip(parameters, parts, strict=True):
+            value, *moments = part.unflatten(1, p.shape)  # type: ignore[no-untyped-call]
             p.copy_(value)
             if adam:
                 adam.state[p]["step"] = self.n_steps[i, 0].clone()
@@ -138,7 +137,8 @@ class Networks:
     def step(self) -> None:
         """Take an Adam step in the runs where `on` is 1."""
         (flat, mean, square), on = self.rows, self.on
-        gradient = torch.where(on == 1, self.flat.grad, 0.0)  # 0 * inf is NaN
+        gradient: Any = self.flat.grad
+        gradient = torch.where(on == 1, gradient, 0.0)  # 0 * inf is NaN
         self.n_steps += on
         mean.lerp_(gradient, on * (1 - BETAS[0]))
         square.lerp_(gradient.square(), on * (1 - BETAS[1]))
@@ -434,7 +434,8 @@ class BatchPPO(BatchLearner):
         stds = self._std()[:, 0].cpu().numpy().repeat(self.n_worlds, axis=0)
         each = [[one.config.noise_correlation] for one in self.learners]
         lasts = np.repeat(each, self.n_worlds, axis=0)
-        return GaussianNoise(Draws(rngs, self.env.max_episode_steps), stds, lasts)
+        draws: Any = Draws(rngs, self.env.max_episode_steps)
+        return GaussianNoise(draws, stds, lasts)
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
@@ -451,7 +452,9 @@ class BatchPPO(BatchLearner):
                 networks.read(i)
         first = next(iter(mine.values()))
         each = zip(*(mine.get(i, first)[0] for i in every), strict=True)
-        batch = Transitions(*(pad_sequence(parts, batch_first=True) for parts in each))
+        batch = Transitions(
+            *(pad_sequence([*parts], batch_first=True) for parts in each)
+        )
         learns = self.numbers(i in mine and mine[i][1] == "learn" for i in every)
         passes: list[Any] = [iter(()) for _ in every]
         for i, (own, _) in mine.items():
@@ -461,7 +464,7 @@ class BatchPPO(BatchLearner):
         while any(minibatches := [next(each, ()) for each in passes]):
             last_kl = torch.zeros_like(sums[0])
             for parts in zip_longest(*minibatches, fillvalue=none):
-                rows = pad_sequence(parts, batch_first=True, padding_value=-1)
+                rows = pad_sequence([*parts], batch_first=True, padding_value=-1)
                 stats, is_any = self._step(batch, rows, learns)
                 sums += stats
                 n_updates += is_any
@@ -558,7 +561,8 @@ class BatchDDPGHER(BatchLearner):
         acting = [one.config.acting(one.progress_remaining) for one in self.learners]
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in acting]
         by_world = np.repeat(values, self.n_worlds, axis=0)
-        return Exploration(Draws(rngs), *np.split(by_world, 3, axis=1))
+        draws: Any = Draws(rngs)
+        return Exploration(draws, *np.split(by_world, 3, axis=1))
 
     def _memorize(self, i: int, slots: Array) -> None:
         """Copy episodes of a run's replay to the device."""

@@ -48,7 +48,7 @@ def test_every_case_stays_within_its_stated_limits(hand, simulator, tmp_path, mo
 
 def test_a_rate_counts_for_the_steps_up_to_its_own():
     rates = {100: 0.0, 200: 1.0, 400: 0.5}
-    rows = [{"env_steps": str(steps), "success_rate": str(rate)} for steps, rate in rates.items()]
+    rows = [{"env_steps": float(steps), "success_rate": rate} for steps, rate in rates.items()]
     record = Record(None, "done", "", {}, rows)
     assert part(record, 0.0) == pytest.approx((100 * 1.0 + 200 * 0.5) / 400)
     assert part(record, 0.375) == pytest.approx((50 * 1.0 + 200 * 0.5) / 250)

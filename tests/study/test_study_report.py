@@ -64,7 +64,7 @@ class TestNumbers:
     def test_tests_at_the_end_of_runs_are_a_score(self, tmp_path):
         folder = make_study(tmp_path / "s", 'score = "test"\n' + PAPER_LIKE, n_seeds=2)
         study, runs = records.load(folder.path)
-        one = analysis.analyse(study, runs, 100).setups[0]
+        one = analysis.analyse(study, runs).setups[0]
         on, off = (by_seed(one.groups["layout 1", touch], "test") for touch in ("on", "off"))
         assert on[0] == float(runs[0].rows[-1]["final_test_success_rate"])
         gap = np.mean([on[seed] - off[seed] for seed in (0, 1)])
@@ -125,7 +125,7 @@ class TestFiles:
         path = tmp_path / "c.tar.gz"
         records.collect(copy, path)
         assert "secret" not in gzip.decompress(path.read_bytes()).decode()
-        assert records.load(path) == records.load(copy)
+        assert repr(records.load(path)) == repr(records.load(copy))  # rows have nan
         assert records.load(path)[1][0].reason == "checkpoint.pt: damaged"
 
 

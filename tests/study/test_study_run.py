@@ -12,7 +12,6 @@ from pathlib import Path
 import filelock
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.envs import plugins
 from tactilerl.study import jobs, records
 from tactilerl.study.records import StudyFiles
 
@@ -91,19 +90,6 @@ class TestRun:
 
 
 class TestBeforeItStarts:
-    def test_a_module_in_a_study_file_is_imported_by_the_user_alone(
-        self, tmp_path, capsys, monkeypatch
-    ):
-        monkeypatch.syspath_prepend(tmp_path)
-        monkeypatch.setattr(plugins, "imported", [])
-        (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
-        text = 'name = "x"\n[setups.x]\nenv = "evil:x-v0"\n'
-        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
-        fails_with(capsys, args, "the module evil", "--import evil")
-        assert not (tmp_path / "pwned").exists()
-        fails_with(capsys, [*args, "--import", "evil"], "x-v0")
-        assert (tmp_path / "pwned").exists()
-
     def test_a_measure_that_the_learner_does_not_have(self, tmp_path, capsys):
         text = 'name = "x"\nmeasure = "test_success_rate"\n[setups.x]\nenv = "lqr"\n'
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
