@@ -216,16 +216,15 @@ class GaussianNoise:
         self, rng: np.random.Generator, std: Array, correlation: Any = 0.0
     ) -> None:
         """Take standard deviations (d,) or (n, d), and correlations between successive steps."""
-        self.rng, self.std = rng, std
-        self.kept = np.float32(correlation)
-        self.new = np.sqrt(1 - np.square(self.kept))
+        self.rng, self.std, self.correlation = rng, std, np.float32(correlation)
         self._noise: Array | None = None
 
     def __call__(self, actions: Array) -> Array:
         """Return noisy copies of actions (n, d); n is the same in every call."""
         drawn = self.rng.standard_normal(actions.shape, dtype=np.float32)
         if self._noise is not None:
-            drawn = self.kept * self._noise + self.new * drawn
+            new = np.sqrt(1 - np.square(self.correlation))
+            drawn = self.correlation * self._noise + new * drawn
         self._noise = drawn
         return actions + self.std * drawn
 
@@ -387,8 +386,7 @@ class PPO(Learner):
 
     def key(self, purpose: int) -> rollout.Key:
         """Return the key of this epoch's random numbers, for one of the purposes in `rollout`."""
-        rank = 0
-        return self.seed, rank, purpose, self.epochs
+        return self.seed, self.comm.rank, purpose, self.epochs
 
     def begin(self) -> None:
         """Begin an epoch: anneal learning rates."""
