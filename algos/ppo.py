@@ -21,14 +21,7 @@ from scipy.special import betaln
 from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
-from .learner import (
-    Counts,
-    Learner,
-    LearnerConfig,
-    RewardScale,
-    restore,
-    states,
-)
+from .learner import Counts, Learner, LearnerConfig, RewardScale, restore, states
 from .networks import MLP, flushed_denormals, start_orthogonal
 from .normalizer import MIN_STD
 from .policy import (
@@ -223,7 +216,7 @@ class GaussianNoise:
         """Return noisy copies of actions (n, d); n is the same in every call."""
         drawn = self.rng.standard_normal(actions.shape, dtype=np.float32)
         if self._noise is not None:
-            new = np.sqrt(1 - np.square(self.correlation))
+            new = np.sqrt(1 - self.correlation**2)
             drawn = self.correlation * self._noise + new * drawn
         self._noise = drawn
         return actions + self.std * drawn
@@ -559,7 +552,9 @@ class PPO(Learner):
         # other, as with time in the observation, returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
-            bootstraps = self._bootstraps(episode)
+            # The return continues at a time limit, and always where physics diverged.
+            is_cut_off = config.truncation == "bootstrap" and not episode.terminated
+            bootstraps = is_cut_off or episode.faults["diverged"]
             last_value = np.clip(each[-1], lowest, highest) if bootstraps else 0.0
             rewards = np.array(episode.rewards) / self.reward_scale.unit
             advantages.append(
@@ -568,11 +563,6 @@ class PPO(Learner):
         advantage = np.concatenate(advantages)
         returns = finite(advantage + predicted, "a return")
         return normalize(advantage), returns, predicted
-
-    def _bootstraps(self, episode: Episode) -> bool:
-        """Return whether the return continues: at a time limit, and always where physics diverged."""
-        is_cut_off = self.config.truncation == "bootstrap" and not episode.terminated
-        return bool(episode.faults["diverged"]) or is_cut_off
 
     # -- the policy --------------------------------------------------------------------------
 
