@@ -458,7 +458,7 @@ class BatchPPO(BatchLearner):
         learns = self.numbers(i in mine and mine[i][1] == "learn" for i in every)
         passes: list[Any] = [iter(()) for _ in every]
         for i, (own, _) in mine.items():
-            passes[i] = self.learners[i].shuffled(len(own.obs))
+            passes[i] = self.learners[i].passes(len(own.obs))
         sums = torch.zeros(4, len(passes), device=self.device)
         n_updates, none = torch.zeros_like(learns), self.e[:0, 0]
         while any(minibatches := [next(each, ()) for each in passes]):

@@ -292,7 +292,10 @@ class Silence(Counts):
         failed = returns.count(self.failure)
         self.failed = self.KEEP * self.failed + self.failed_since + failed
         self.others = self.KEEP * self.others + n - failed
-        self.failed_since, self.can_undo = 0, True
+        self.failed_since, self.can_undo = (
+            0,
+            True,
+        )  # the update that follows is the last
         return "learn"
 
     def _judge_failures(self, n: int) -> Verdict:
@@ -378,7 +381,10 @@ class PPO(Learner):
         return self.keep(episodes)
 
     def key(self, purpose: int) -> rollout.Key:
-        """Return the key of this epoch's random numbers, for one of the purposes in `rollout`."""
+        """Return the key of random numbers for one of the purposes in `rollout`.
+
+        It counts the epochs that were played, so one epoch's LEARN is one above its TRAIN.
+        """
         return self.seed, self.comm.rank, purpose, self.epochs
 
     def begin(self) -> None:
@@ -412,7 +418,7 @@ class PPO(Learner):
         learns = verdict == "learn"
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
-            for minibatches in self.shuffled(len(batch.obs)):
+            for minibatches in self.passes(len(batch.obs)):
                 for_actor = minibatches if learns else ()
                 of_actor, of_critic = self.in_two_threads(
                     partial(self._update_actor, batch, for_actor),
@@ -437,7 +443,7 @@ class PPO(Learner):
     def prepare(self) -> tuple[Transitions, Verdict]:
         """Return what to learn from, and what becomes of the actor, whose last update may be undone."""
         self._grow_reward_scale()
-        batch = self._batch()  # its log_prob is of the actor that played
+        batch = self._batch()
         verdict = self._judge()
         if verdict == "undo":
             restore(self.undoable, self.before_update)
@@ -446,7 +452,7 @@ class PPO(Learner):
         return batch, verdict
 
     def _grow_reward_scale(self) -> None:
-        """Raise the unit of rewards to the epoch's largest return; the critic's values stay."""
+        """Raise the unit of rewards to the epoch's largest return; the critic's outputs shrink."""
         returns = (largest_return(e.rewards, self.config.gamma) for e in self.episodes)
         self.critic.scale_outputs(self.reward_scale.grow(max(returns)))
 
@@ -457,7 +463,7 @@ class PPO(Learner):
         whole = [e for e in self.episodes if not e.faults["diverged"]]
         return self.silence.judge([sum(e.rewards) for e in whole]) if whole else "wait"
 
-    def shuffled(self, n: int) -> Iterator[Sequence[Tensor]]:
+    def passes(self, n: int) -> Iterator[Sequence[Tensor]]:
         """Yield for each pass over a batch of `n` transitions the rows of its minibatches."""
         rng = np.random.default_rng(self.key(rollout.LEARN))
         for _ in range(self.config.n_passes):
@@ -498,7 +504,7 @@ class PPO(Learner):
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(parameters, self.config.max_grad_norm)
             self.actor_adam.step()
-            self.std_adam.step()
+            self.std_adam.step()  # without effect where the variance is fixed
             clipped = result.is_clipped.float().mean()
             losses.append(ActorLoss(loss.detach(), result.kl.mean(), clipped))
         return losses
@@ -548,8 +554,8 @@ class PPO(Learner):
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        # Ours: the value of a last observation is cut, since none is ever learned. Where it is like no
-        # other, as with time in the observation, returns would grow from epoch to epoch.
+        # Ours: the critic is never fitted to a last observation, so its value there is cut to the range
+        # of the others. With time in the observation, returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
             # The return continues at a time limit, and always where physics diverged.
