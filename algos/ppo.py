@@ -95,10 +95,10 @@ class PPOConfig(LearnerConfig):
     """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
     Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit; entries between 0
-    and 1, such as Boolean taxels, have none. With 1, what varies less stays small, such as the noise of
-    a joint that stands still; with a small one, it is scaled up until it counts as much as what
-    matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit; for entries
+    between 0 and 1, such as Boolean taxels, it is 0.01. With 1, what varies less stays small, such as
+    the noise of a joint that stands still; with a small one, it is scaled up until it counts as much as
+    what matters."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
     all, so that together they count as much as 24 normalized inputs, however many they are; each:
@@ -281,7 +281,7 @@ class Silence(Counts):
     def judge(self, returns: Sequence[float]) -> Verdict:
         """Return what an epoch's returns say; one at least."""
         lowest, highest, n = min(returns), max(returns), len(returns)
-        if highest <= self.failure:
+        if highest < self.failure or lowest == highest == self.failure:
             return self._judge_failures(n)
         if lowest == highest and self.failure == -math.inf:
             return "learn"  # nobody knows yet what a failure is
