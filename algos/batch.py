@@ -296,7 +296,8 @@ class BatchLearner:
 
     def test(self, runs: Iterable[int]) -> Rows:
         """Return how good these runs are without exploration, where their learner tests that."""
-        keys = {i: self.learners[i].key(rollout.TEST) for i in runs if self.n_tests}
+        playing = [i for i in runs if self.n_tests and i not in self.failures]
+        keys = {i: self.learners[i].key(rollout.TEST) for i in playing}
         return {i: tested(row) for i, row in self.play_best(keys, self.n_tests).items()}
 
     @torch.no_grad()
@@ -364,7 +365,8 @@ class BatchLearner:
             )
             stepped = live & ~(broken | holds)
             lengths += stepped
-            views[every, lengths] = seen = self._whole(obs)
+            seen = self._whole(obs)  # in a hold test, that after the step already
+            views[stepped, lengths[stepped]] = seen[stepped]
             success = np.where(live & ~holds, is_success, success)
             terminated |= stepped & ends[0]
             diverged |= broken
@@ -458,7 +460,7 @@ class BatchPPO(BatchLearner):
         learns = self.numbers(i in mine and mine[i][1] == "learn" for i in every)
         passes: list[Any] = [iter(()) for _ in every]
         for i, (own, _) in mine.items():
-            passes[i] = self.learners[i].shuffled(len(own.obs))
+            passes[i] = self.learners[i].passes(len(own.obs))
         sums = torch.zeros(4, len(passes), device=self.device)
         n_updates, none = torch.zeros_like(learns), self.e[:0, 0]
         while any(minibatches := [next(each, ()) for each in passes]):

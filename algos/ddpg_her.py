@@ -89,10 +89,10 @@ class DDPGHERConfig(LearnerConfig):
     norm_clip: Positive32 = 5.0
     """Bound on observations and goals after they are normalized."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit; entries between 0
-    and 1, such as Boolean taxels, have none. With 1, what varies less stays small, such as the noise of
-    a joint that stands still; with a small one, it is scaled up until it counts as much as what
-    matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit; for entries
+    between 0 and 1, such as Boolean taxels, it is 0.01. With 1, what varies less stays small, such as
+    the noise of a joint that stands still; with a small one, it is scaled up until it counts as much as
+    what matters."""
     taxel_scale: TaxelScale = "each"
     """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
     gain for all, so that together they count as much as 24 normalized inputs, however many they

@@ -234,8 +234,9 @@ class RewardScale(Counts):
         """Raise a running scale to this, where it is larger; return the factor for critics' outputs."""
         if not self.is_running or scale <= self.scale:
             return 1.0
-        is_first = self.scale == 0.0  # a new critic stays as it is
-        factor = 1.0 if is_first else self.scale / scale
+        factor = (
+            self.scale / scale if self.scale else 1.0
+        )  # a new critic stays as it is
         self.scale = scale
         return factor
 

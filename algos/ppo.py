@@ -21,14 +21,7 @@ from scipy.special import betaln
 from torch import Tensor, nn
 
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
-from .learner import (
-    Counts,
-    Learner,
-    LearnerConfig,
-    RewardScale,
-    restore,
-    states,
-)
+from .learner import Counts, Learner, LearnerConfig, RewardScale, restore, states
 from .networks import MLP, flushed_denormals, start_orthogonal
 from .normalizer import MIN_STD
 from .policy import (
@@ -102,10 +95,10 @@ class PPOConfig(LearnerConfig):
     """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
     Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit; entries between 0
-    and 1, such as Boolean taxels, have none. With 1, what varies less stays small, such as the noise of
-    a joint that stands still; with a small one, it is scaled up until it counts as much as what
-    matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit; for entries
+    between 0 and 1, such as Boolean taxels, it is 0.01. With 1, what varies less stays small, such as
+    the noise of a joint that stands still; with a small one, it is scaled up until it counts as much as
+    what matters."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
     all, so that together they count as much as 24 normalized inputs, however many they are; each:
@@ -216,16 +209,15 @@ class GaussianNoise:
         self, rng: np.random.Generator, std: Array, correlation: Any = 0.0
     ) -> None:
         """Take standard deviations (d,) or (n, d), and correlations between successive steps."""
-        self.rng, self.std = rng, std
-        self.kept = np.float32(correlation)
-        self.new = np.sqrt(1 - np.square(self.kept))
+        self.rng, self.std, self.correlation = rng, std, np.float32(correlation)
         self._noise: Array | None = None
 
     def __call__(self, actions: Array) -> Array:
         """Return noisy copies of actions (n, d); n is the same in every call."""
         drawn = self.rng.standard_normal(actions.shape, dtype=np.float32)
         if self._noise is not None:
-            drawn = self.kept * self._noise + self.new * drawn
+            new = np.sqrt(1 - self.correlation**2)
+            drawn = self.correlation * self._noise + new * drawn
         self._noise = drawn
         return actions + self.std * drawn
 
@@ -289,7 +281,7 @@ class Silence(Counts):
     def judge(self, returns: Sequence[float]) -> Verdict:
         """Return what an epoch's returns say; one at least."""
         lowest, highest, n = min(returns), max(returns), len(returns)
-        if highest <= self.failure:
+        if highest < self.failure or lowest == highest == self.failure:
             return self._judge_failures(n)
         if lowest == highest and self.failure == -math.inf:
             return "learn"  # nobody knows yet what a failure is
@@ -300,7 +292,10 @@ class Silence(Counts):
         failed = returns.count(self.failure)
         self.failed = self.KEEP * self.failed + self.failed_since + failed
         self.others = self.KEEP * self.others + n - failed
-        self.failed_since, self.can_undo = 0, True
+        self.failed_since, self.can_undo = (
+            0,
+            True,
+        )  # the update that follows is the last
         return "learn"
 
     def _judge_failures(self, n: int) -> Verdict:
@@ -386,9 +381,11 @@ class PPO(Learner):
         return self.keep(episodes)
 
     def key(self, purpose: int) -> rollout.Key:
-        """Return the key of this epoch's random numbers, for one of the purposes in `rollout`."""
-        rank = 0
-        return self.seed, rank, purpose, self.epochs
+        """Return the key of random numbers for one of the purposes in `rollout`.
+
+        It counts the epochs that were played, so one epoch's LEARN is one above its TRAIN.
+        """
+        return self.seed, self.comm.rank, purpose, self.epochs
 
     def begin(self) -> None:
         """Begin an epoch: anneal learning rates."""
@@ -421,7 +418,7 @@ class PPO(Learner):
         learns = verdict == "learn"
         actor_losses, value_losses = list[ActorLoss](), list[Tensor]()
         with flushed_denormals():
-            for minibatches in self.shuffled(len(batch.obs)):
+            for minibatches in self.passes(len(batch.obs)):
                 for_actor = minibatches if learns else ()
                 of_actor, of_critic = self.in_two_threads(
                     partial(self._update_actor, batch, for_actor),
@@ -446,7 +443,7 @@ class PPO(Learner):
     def prepare(self) -> tuple[Transitions, Verdict]:
         """Return what to learn from, and what becomes of the actor, whose last update may be undone."""
         self._grow_reward_scale()
-        batch = self._batch()  # its log_prob is of the actor that played
+        batch = self._batch()
         verdict = self._judge()
         if verdict == "undo":
             restore(self.undoable, self.before_update)
@@ -455,7 +452,7 @@ class PPO(Learner):
         return batch, verdict
 
     def _grow_reward_scale(self) -> None:
-        """Raise the unit of rewards to the epoch's largest return; the critic's values stay."""
+        """Raise the unit of rewards to the epoch's largest return; the critic's outputs shrink."""
         returns = (largest_return(e.rewards, self.config.gamma) for e in self.episodes)
         self.critic.scale_outputs(self.reward_scale.grow(max(returns)))
 
@@ -466,7 +463,7 @@ class PPO(Learner):
         whole = [e for e in self.episodes if not e.faults["diverged"]]
         return self.silence.judge([sum(e.rewards) for e in whole]) if whole else "wait"
 
-    def shuffled(self, n: int) -> Iterator[Sequence[Tensor]]:
+    def passes(self, n: int) -> Iterator[Sequence[Tensor]]:
         """Yield for each pass over a batch of `n` transitions the rows of its minibatches."""
         rng = np.random.default_rng(self.key(rollout.LEARN))
         for _ in range(self.config.n_passes):
@@ -507,7 +504,7 @@ class PPO(Learner):
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(parameters, self.config.max_grad_norm)
             self.actor_adam.step()
-            self.std_adam.step()
+            self.std_adam.step()  # without effect where the variance is fixed
             clipped = result.is_clipped.float().mean()
             losses.append(ActorLoss(loss.detach(), result.kl.mean(), clipped))
         return losses
@@ -557,11 +554,13 @@ class PPO(Learner):
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        # Ours: the value of a last observation is cut, since none is ever learned. Where it is like no
-        # other, as with time in the observation, returns would grow from epoch to epoch.
+        # Ours: the critic is never fitted to a last observation, so its value there is cut to the range
+        # of the others. With time in the observation, returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
-            bootstraps = self._bootstraps(episode)
+            # The return continues at a time limit, and always where physics diverged.
+            is_cut_off = config.truncation == "bootstrap" and not episode.terminated
+            bootstraps = is_cut_off or episode.faults["diverged"]
             last_value = np.clip(each[-1], lowest, highest) if bootstraps else 0.0
             rewards = np.array(episode.rewards) / self.reward_scale.unit
             advantages.append(
@@ -570,11 +569,6 @@ class PPO(Learner):
         advantage = np.concatenate(advantages)
         returns = finite(advantage + predicted, "a return")
         return normalize(advantage), returns, predicted
-
-    def _bootstraps(self, episode: Episode) -> bool:
-        """Return whether the return continues: at a time limit, and always where physics diverged."""
-        is_cut_off = self.config.truncation == "bootstrap" and not episode.terminated
-        return bool(episode.faults["diverged"]) or is_cut_off
 
     # -- the policy --------------------------------------------------------------------------
 

@@ -66,7 +66,7 @@ class PlayEpisode:
     def __call__(
         self, env: gym.Env[Any, Any], number: int, is_wanted: Callable[[], bool]
     ) -> Episode:
-        """Return the episode, cut short when it is not wanted any more.
+        """Return the episode, cut short when it is not wanted any more; then nobody learns from it.
 
         One that cannot begin, because the reset raises a FloatingPointError, has no step and counts
         as diverged.

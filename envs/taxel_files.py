@@ -152,11 +152,15 @@ def _read_csv(text: str) -> Tables:
         table: dict[str, Any] = {
             name: cells[name] for name in ("link", "name") if name in cells
         }
-        table["position"] = [float(cells[name]) for name in ("x", "y", "z")]
-        if "nx" in cells:
-            table["normal"] = [float(cells[name]) for name in ("nx", "ny", "nz")]
-        if "radius" in cells:
-            table["radius"] = float(cells["radius"])
+        try:
+            table["position"] = [float(cells[name]) for name in ("x", "y", "z")]
+            if "nx" in cells:
+                table["normal"] = [float(cells[name]) for name in ("nx", "ny", "nz")]
+            if "radius" in cells:
+                table["radius"] = float(cells["radius"])
+        except (ValueError, KeyError) as error:
+            line = f"line {rows.line_num}: {type(error).__name__}: {error}"
+            raise ValueError(f"{line}; found {cells}"[:200]) from error
         yield table
 
 

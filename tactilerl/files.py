@@ -63,7 +63,7 @@ def require_new(path: Path, overwrite: bool = False, *endings: str) -> None:
     That is anything but an empty folder, unless it may `overwrite`. A name has to have one of the
     `endings`, where there are some; "" is a folder's, which is made with those above it.
     """
-    if endings and path.suffix.lower() not in endings:
+    if endings and path.suffix not in endings:
         allowed = ", ".join(ending or "nothing" for ending in endings)
         raise InputError(
             f"found {path.name!r} as a new file, allowed names that end in {allowed}"

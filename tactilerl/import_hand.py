@@ -72,8 +72,8 @@ class Guess:
         empty = {"palm": "", "digits": {}, "drop": []}
         self.keys: dict[str, Any] = {"model": model, **empty, **unknown, **known}
         if self.keys.pop("servos", None):
-            self.keys["drop"] += [servo.name for servo in self._parts().raw.actuators]
-        spec = self._parts().raw
+            self.keys["drop"] += [servo.name for servo in self._whole().actuators]
+        spec = self._whole()
         self.keys["palm"] = self.keys["palm"] or _palm_of(spec)
         bodies = [body.name for body in spec.bodies]
         validation.require_one_of(bodies, self.keys["palm"], "palm")
@@ -83,6 +83,11 @@ class Guess:
         self.parts = self._parts()
         self.frame = self.parts.palm_frame
         self.chains = chains_of(self.parts, self.frame.link)
+
+    def _whole(self) -> mujoco.MjSpec:
+        """Return the model with whatever the hand hangs on, which may have joints of any kind."""
+        parts = self._parts()
+        return mount.cleaned(parts.path, parts.file, visual=False)
 
     def _parts(self) -> Parts:
         """Return the parts of a hand of which only the keys so far are known."""

@@ -205,7 +205,8 @@ class Parts:
         """Return a table of the file by joint; its keys are joints or patterns of them."""
         values: dict[str, Any] = {}
         for pattern, value in table.items():
-            joints = matching(self.joints, pattern)
+            is_name = pattern in self.joints  # also one with brackets
+            joints = [pattern] if is_name else matching(self.joints, pattern)
             if not joints:
                 require_one_of(self.joints, pattern, where)
             values |= dict.fromkeys(joints, value)

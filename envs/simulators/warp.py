@@ -256,7 +256,8 @@ class WarpSimulator(BatchSimulator):
             world[rows], torch.arange(self.n, device=self.device)
         )
         place = torch.arange(len(rows), device=self.device) - first[world[rows]]
-        place = place.clamp_max(MAX_CONTACTS - 1)  # of more, some
+        fits = place < MAX_CONTACTS
+        rows, place = rows[fits], place[fits]
         sign = torch.where(is_second, 1.0, -1.0)[:, None]
         parts = []
         for values in (pos, link, force, sign * frame[:, 0]):

@@ -270,7 +270,11 @@ def parse(text: str) -> list[Row]:
     """Return the rows of a progress.csv; a last line that was cut off does not count."""
     whole = text[: text.rfind("\n") + 1]
     rows = csv.DictReader(io.StringIO(whole))
-    return [{name: float(x or "nan") for name, x in row.items()} for row in rows]
+    needed = {"epoch", "env_steps"}
+    return [
+        {k: float(x or ("" if k in needed else "nan")) for k, x in row.items()}
+        for row in rows
+    ]
 
 
 class Checkpoint:

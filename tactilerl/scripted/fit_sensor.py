@@ -19,6 +19,7 @@ from ..envs.state import Array
 
 COLUMNS = "time,force_N,reading"
 LONGEST_STEP = 0.05  # s, between two lines
+LARGEST_FORCE = 100.0  # N; more is probably in another unit
 PRESSED = 0.05, 0.1  # N and share of the largest force: from both on it is a press
 REST = 0.5  # s without touch that a log has before its first press at least, and as long again
 SIGMAS = 5.0  # of the noise at rest: further away, a reading tells of a press
@@ -91,7 +92,10 @@ def _read(path: Path) -> tuple[Array, float]:
             raise ValueError(
                 f"columns: found {header[:50]!r}, allowed {COLUMNS} (s, N, any unit)"
             )
-        rows = np.loadtxt(file, delimiter=",", ndmin=2)
+        lines = file.readlines()
+        if len(lines) < 3:
+            raise ValueError(f"lines: found {len(lines)}, allowed some seconds of them")
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2)
         if not np.isfinite(rows).all():
             raise ValueError("found NaN or an infinity, allowed numbers")
         time, force, reading = rows.T
@@ -101,6 +105,9 @@ def _read(path: Path) -> tuple[Array, float]:
             raise ValueError(
                 f"time: {found}, allowed above 0 and up to {LONGEST_STEP} s"
             )
+        if np.abs(force).max() > LARGEST_FORCE:
+            found = f"found {force.min():g} to {force.max():g} N"
+            raise ValueError(f"force_N: {found}, allowed up to {LARGEST_FORCE:g} N")
         return _pressed(time, force, reading)
 
 

@@ -25,7 +25,7 @@ from ..envs import tasks, vector
 from ..envs.batch import BatchEnv, shared
 from ..envs.grasp import GraspConfig
 from ..envs.simulators import batch as simulators
-from ..errors import input_errors
+from ..errors import InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
@@ -114,8 +114,15 @@ def as_jobs(folder: Path, runs: Sequence[Run]) -> list[Job]:
 def train(files: StudyFiles, runs: Sequence[Run]) -> int:
     """Train runs of a study as a batch, or go on from their last checkpoints; return the exit code."""
     require_device()
+    batches, others = form(runs)
+    for run, reason in others:
+        raise InputError(f"run {run.name}: {reason}")
+    if len(batches) != 1:
+        raise InputError(
+            f"--batch: found {len(batches)} batches in these runs, allowed 1"
+        )
     with ExitStack() as held:
-        return _Training(form(runs)[0][0], files, held).train()
+        return _Training(batches[0], files, held).train()
 
 
 @dataclass

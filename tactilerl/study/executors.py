@@ -41,6 +41,8 @@ def start(
         raise InputError(f"--on {on}: how many jobs to submit? Give --jobs N")
     if (walltime or memory) and not is_batch:
         raise InputError(f"--walltime, --memory: allowed only with {', '.join(BATCH)}")
+    if on == "gpu" and ranks > 1:
+        raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
     if on in ("local", "gpu"):
         usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
         pool = concurrent.futures.ThreadPoolExecutor(jobs or usual)
@@ -57,6 +59,7 @@ def start(
             where = cluster(on, ranks, walltime, memory)
             submit = where.job_cls.submit_command.split()[0]
             if shutil.which(submit) is None:  # Dask would only log it, and wait
+                where.close()
                 raise ValueError(f"found no command {submit!r} on this machine")
             where.scale(jobs=jobs)
         connect: Any = Client  # which has no types

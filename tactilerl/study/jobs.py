@@ -88,8 +88,8 @@ def _require_same(run_dir: RunDir, config: RunConfig) -> None:
     layout, copy = config.layout_file, run_dir.layout_file
     if layout and layout.is_file() and copy.is_file():
         with input_errors():
-            was, now = (layouts.load(str(file)).toml() for file in (copy, layout))
-        if was != now:
+            was, now = (layouts.load(str(file)) for file in (copy, layout))
+        if (was.patches, was.taxels) != (now.patches, now.taxels):
             raise InputError(
                 f"layout {layout}: found other taxels than when this run began"
             )
@@ -114,11 +114,12 @@ def run_all(
     """Make runs done, in order; `on_end` is told each run that ended, whatever became of it."""
     waiting = {pool.submit(make_done, job): job for job in jobs}
     for future in concurrent.futures.as_completed(waiting):
-        job = waiting[future]
+        job, error = waiting[future], future.exception()
+        is_deadly = type(error).__name__ == "KilledWorker"  # several of Dask's died
+        if error is not None and not is_deadly:
+            raise error
         for run in job.runs:
-            if (
-                error := future.exception()
-            ):  # such as that several of Dask's workers died
+            if is_deadly:
                 StudyFiles(job.folder).write_failure(run, f"not run: {error}")
             on_end(run)
 

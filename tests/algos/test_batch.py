@@ -76,7 +76,7 @@ class PointBatch(gym.vector.VectorEnv):
                 self._waits[i] = 3 if self._later[i][2] else 1
             self._waits[i] -= 1
             if self._waits[i]:
-                holding[i] = True
+                self._seen[i], holding[i] = self._later[i][0], True
                 continue
             self._seen[i], rewards[i], ends[i], cuts[i], info = self._later[i]
             success[i], self._over[i] = info["is_success"], ends[i] or cuts[i]

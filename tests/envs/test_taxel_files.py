@@ -58,7 +58,7 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
     ("name", "content", "complaint"),
     [
         ("p.csv", "x,y,z,radius\n-6,-3,0,1.5\n", "taxel 1.position: found -6.0, allowed [-1, 1]"),
-        ("p.csv", "x,y\n0,0\n", "found another form (KeyError: 'z'), expected x, y, z and, where"),
+        ("p.csv", "x,y\n0,0\n", "line 2: KeyError: 'z'; found"),
         ("p.json", '{"taxels": []}', 'expected [{"link_name": NAME, "probes":'),
     ],
 )

@@ -343,8 +343,8 @@ class TestCommand:
         args += ["--taxels", "2", "--env", "mpl", "--start-closing"]
         rows = {}
         for waits in ("0.2", "0.35", "0.2 0.35"):
-            assert main([*args, *waits.split(), "--out", f"out {waits}"]) == 0
-            found = json.loads(Path(f"out {waits}/design.json").read_text())["rows"]
+            assert main([*args, *waits.split(), "--out", f"out{waits.replace('.', '')}"]) == 0
+            found = json.loads(Path(f"out{waits.replace('.', '')}/design.json").read_text())["rows"]
             rows[waits] = {row["layout"]: row for row in found}
         both = rows["0.2 0.35"]["chosen"]
         assert both == rows[str(both["start_closing"])]["chosen"]
