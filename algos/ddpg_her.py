@@ -172,9 +172,9 @@ def play_episodes(workers: Workers, job: PlayEpisode, n: int) -> list[Episode]:
     return episodes
 
 
-def q_values(critic: Any, obs: Tensor, actions: Tensor) -> Tensor:
-    """Return a critic's values (..., n) of actions (..., n, d)."""
-    values: Tensor = critic(torch.cat([obs, actions], dim=-1)).squeeze(-1)
+def q_values(critic: Any, inputs: Tensor, actions: Tensor) -> Tensor:
+    """Return a critic's values (..., n) of actions (..., n, d) for inputs (..., n, obs + goal)."""
+    values: Tensor = critic(torch.cat([inputs, actions], dim=-1)).squeeze(-1)
     return values
 
 
@@ -394,7 +394,7 @@ class DDPGHER(Learner):
         config, n = self.config, self.config.n_batches
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
-        factor = self.rescale(drawn.reward)
+        factor = self.rescale(drawn.reward)  # 1 without --normalize-rewards
         for critic in (self.critic, self.target_critic):
             critic.scale_outputs(factor)
         sums = self.learn(self._as_inputs(drawn))
@@ -458,6 +458,7 @@ class DDPGHER(Learner):
         errors = q_values(self.critic, batch.obs, batch.action) - targets
         loss = errors.square().mean(dim=-1)
         self.critic_adam.zero_grad()
+        # A sum over runs, where there are several in front: each has parameters of its own.
         loss.sum().backward(inputs=self.critic_parameters)  # type: ignore[no-untyped-call]
         return loss.detach()
 

@@ -35,14 +35,7 @@ from .policy import (
     new_actor,
     on_cpu,
 )
-from .rollout import (
-    Episode,
-    PlayEpisode,
-    discounted,
-    largest_return,
-    summary,
-    usable,
-)
+from .rollout import Episode, PlayEpisode, discounted, largest_return, summary, usable
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are

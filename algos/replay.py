@@ -186,10 +186,10 @@ class Replay:
         The environment says it; else rewards do, where with their own goals every transition that ended
         an episode had a higher one than every other. Otherwise it is as with the own goal.
         """
-        if self.compute_terminated is None:
+        if self.compute_terminated is None:  # the learner bootstraps and does not ask
             return was_terminal
         terminal = self.compute_terminated(achieved, goal)
-        if terminal is None:
+        if terminal is None:  # the environment does not say
             lowest = self._lowest_ending_reward()
             others = reward[~is_relabelled & ~was_terminal]  # of this draw only
             if not len(others) or lowest <= others.max():
