@@ -220,9 +220,7 @@ class Exploration:
         chance = rng.random(actions.shape[:-1])[..., None]
         drawn = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
         hold = self.random_hold
-        if (
-            self._is_random is None
-        ):  # the first step, which has the same share as all others
+        if self._is_random is None:  # the first step has the same share as all others
             is_new, is_held = chance < self.random_eps, np.zeros(chance.shape, bool)
             self._random = drawn
         else:  # a hold ends with probability 1 / hold, and another may follow at once
@@ -414,8 +412,9 @@ class DDPGHER(Learner):
 
         Returns the sums of what `_update_networks` does.
         """
-        config, n, rows = self.config, self.config.n_batches, batch.reward.ndim - 1
-        parts = (part.split(config.batch_size, dim=rows) for part in batch)
+        config, n = self.config, self.config.n_batches
+        axis = batch.reward.ndim - 1  # that of transitions
+        parts = (part.split(config.batch_size, dim=axis) for part in batch)
         sums: Any = 0.0
         with flushed_denormals():
             for i, minibatch in enumerate(zip(*parts, strict=True), start=1):

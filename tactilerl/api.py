@@ -119,7 +119,7 @@ class Learner:
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         events = None if tensorboard is None else Path(tensorboard)
         log = EpochLog(learner, self._comm, events, is_quiet=not progress)
-        with _one_thread():
+        with _one_thread(), closing(log):
             if not self._epoch:
                 learner.check()
             for row in training.epochs(learner, self._epoch):

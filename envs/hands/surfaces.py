@@ -21,9 +21,7 @@ from .parts import Parts
 from .tables import DigitTable
 
 TURNED = 0.1  # rad: what closing turns less moves as a whole
-STILL = (
-    1e-4  # m, or rad m: a fingertip that moves less as its hand closes does not move
-)
+STILL = 1e-4  # m, or rad m: a fingertip that moves less as its hand closes is still
 OFF_SKIN = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
 SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch|fsr")
 MIN_RADIUS, MAX_RADIUS = 1e-3, 0.02  # m, of sensors

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -117,9 +118,15 @@ class RunConfig:
     def place(self) -> tuple[str, GraspConfig | None]:
         """The environment's name or its hand, and the scene, with the run's own copies of files.
 
-        InputError when the files of its hand have gone or changed.
+        InputError when that would import a module that nobody has asked for, or the files of its
+        hand have gone or changed.
         """
         env, scene = self.run.env, self.scene
+        module, colon, _ = env.partition(":")
+        if colon and module not in sys.modules:  # the folder may be somebody else's
+            raise InputError(
+                f"env: found {env!r}, of the module {module}; if you trust it, give --import {module}"
+            )
         if self.hand:
             env = self._copy(HAND_COPY, env)
             with input_errors(f"{self.folder}: the hand of this run cannot be read"):

@@ -28,8 +28,8 @@ from .. import machine
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.policy import Spaces, action_bounds
-from ..envs import hands, layouts, validation
-from ..errors import InputError
+from ..envs import hands, layouts, plugins, validation
+from ..errors import InputError, input_errors
 from ..files import (
     as_json,
     damage_named,
@@ -45,9 +45,8 @@ from .config import (
     from_dict,
 )
 
-REWRITE = (
-    2  # parts of an experience become one when they hold this many times a full replay
-)
+# Parts of an experience become one when they hold this many times a full replay.
+REWRITE = 2
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
 Row = dict[str, float]
@@ -269,12 +268,10 @@ def _hand_file(path: Path) -> bytes:
 def parse(text: str) -> list[Row]:
     """Return the rows of a progress.csv; a last line that was cut off does not count."""
     whole = text[: text.rfind("\n") + 1]
-    rows = csv.DictReader(io.StringIO(whole))
-    needed = {"epoch", "env_steps"}
-    return [
-        {k: float(x or ("" if k in needed else "nan")) for k, x in row.items()}
-        for row in rows
-    ]
+    rows = [*csv.DictReader(io.StringIO(whole))]
+    for row in rows:  # which all must have
+        float(row["epoch"]), float(row["env_steps"])
+    return [{name: float(x or "nan") for name, x in row.items()} for row in rows]
 
 
 class Checkpoint:
@@ -352,8 +349,13 @@ def resolve(
 ) -> RunConfig:
     """Return the configuration before other choices: defaults, or that of the run in `resume`.
 
-    Raise InputError where `resume` holds no run, or a scene or a recipe is named as well.
+    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene or
+    a recipe is named as well.
     """
+    module, colon, _ = str(env).partition(":")
+    if colon:
+        with input_errors("env"):
+            plugins.import_modules([module])
     if not resume:
         return defaults(algo, env, recipe, scene)
     for name, value in {"scene": scene, "recipe": recipe}.items():

@@ -105,14 +105,15 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
             if learner.env_steps >= learner.total_timesteps:
                 advice = "" if config.learner.anneals else "; raise --total-timesteps"
                 notes.append(f"  nothing to do{advice}")
-            log = EpochLog(learner, comm, events)
-            log.console.print("\n".join(filter(None, notes)))
-            for row in epochs(learner, epoch):
-                row[FINAL_TEST] = _final_test(learner, config.run.n_test_episodes)
-                if comm.rank == 0:
-                    run_dir.append(row)
-                checkpoint.save(row["epoch"])
-                log.epoch(row)
+            earlier = run_dir.rows() if events else []
+            with closing(EpochLog(learner, comm, events, earlier=earlier)) as log:
+                log.console.print("\n".join(filter(None, notes)))
+                for row in epochs(learner, epoch):
+                    row[FINAL_TEST] = _final_test(learner, config.run.n_test_episodes)
+                    if comm.rank == 0:
+                        run_dir.append(row)
+                    checkpoint.save(row["epoch"])
+                    log.epoch(row)
     return run_dir.path
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,12 @@ class EpochLog:
         comm: Communicator,
         events: Path | None = None,
         is_quiet: bool = False,
+        earlier: Sequence[Mapping[str, Any]] = (),
     ) -> None:
-        """Begin where `learner` is; `events` is the folder. Ranks but the first print nothing."""
+        """Begin where `learner` is; `events` is the folder. Ranks but the first print nothing.
+
+        Events of `earlier` rows are written anew: those of another process may lack its last ones.
+        """
         self.console = Console(
             quiet=is_quiet or comm.rank > 0,
             highlight=False,
@@ -38,7 +42,15 @@ class EpochLog:
         self._started = time.perf_counter()
         self._events: Any = None
         if events is not None and comm.rank == 0:
-            self._events = require_tensorboard()(str(events))
+            first = 0 if earlier else None  # step from which older events are hidden
+            self._events = require_tensorboard()(str(events), purge_step=first)
+            for row in earlier:
+                self._write_events(row)
+
+    def close(self) -> None:
+        """Close the file of events."""
+        if self._events is not None:
+            self._events.close()
 
     def epoch(self, row: Mapping[str, Any]) -> None:
         """Print one row of the progress table."""
@@ -56,14 +68,15 @@ class EpochLog:
         done = f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}"
         self.console.print(f"{done}  {text}{about(left)} left")
         if self._events is not None:
-            for column, value in row.items():
-                if (
-                    column not in ("epoch", "env_steps")
-                    and value != ""
-                    and not math.isnan(value)
-                ):
-                    self._events.add_scalar(f"train/{column}", value, steps)
-            self._events.flush()
+            self._write_events(row)
+
+    def _write_events(self, row: Mapping[str, Any]) -> None:
+        """Write a row of the progress table for TensorBoard."""
+        for column, value in row.items():
+            is_known = value != "" and not math.isnan(value)
+            if is_known and column not in ("epoch", "env_steps"):
+                self._events.add_scalar(f"train/{column}", value, int(row["env_steps"]))
+        self._events.flush()
 
 
 def _percent(value: float) -> str:

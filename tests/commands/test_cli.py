@@ -126,6 +126,14 @@ class TestTrain:
         assert len(steps) == 2
         assert "train/success_rate" not in read.Tags()["scalars"]  # the toy has none
 
+    def test_tensorboard_shows_the_epochs_before_it_was_asked_for(self):
+        pytest.importorskip("tensorboard")
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        main(["train", "--resume", "run", "--total-timesteps", "121", "--tensorboard"])
+        module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+        events = module.EventAccumulator("run").Reload().Scalars("train/mean_return")
+        assert [event.step for event in events] == [int(r["env_steps"]) for r in progress(Path("run"))]
+
 
 class TestResume:
     @pytest.mark.parametrize("toy", [TOY, [*TOY, "--recipe", "robust", "--no-anneal-lr"], REACH])

@@ -151,6 +151,9 @@ GOOD = log(0.3, 0.2, delay=0.02, noise=0.02, seed=0)
         (broken(GOOD, reading=lambda r: 0 * r), None, "the reading never leaves its rest"),
         (broken(GOOD, reading=lambda r: np.where(r == r.max(), np.nan, r)), None, "found NaN"),
         (GOOD[480:], None, "found less than 1 s of rest"),
+        (GOOD[:2], None, "lines: found 2"),
+        (GOOD[:0], None, "lines: found 0"),
+        (broken(GOOD, force=lambda f: 1e3 * f), None, "N, allowed up to 100 N"),
     ],
 )
 def test_a_log_that_does_not_tell_is_one_line(rows, header, said, capsys):

@@ -15,6 +15,7 @@ import pytest
 import torch
 from tactilerl import files
 from tactilerl.commands.cli import main
+from tactilerl.envs import plugins
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
 from tactilerl.runs.store import RunDir
@@ -95,6 +96,8 @@ class TestProgress:
         "damage",
         [
             lambda rows: b"a,b,c\n" + b"".join(rows[1:]),
+            lambda rows: b"".join([rows[0].replace(b"epoch", b"epok"), *rows[1:]]),
+            lambda rows: b"".join([rows[0], b"," + rows[1].partition(b",")[2], *rows[2:]]),
             lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]),
         ],
     )
@@ -156,6 +159,30 @@ class TestLock:
         first.send_signal(signal.SIGKILL)
         first.communicate()
         assert main(more) == 0
+
+
+class TestModules:
+    @pytest.fixture
+    def foreign(self, monkeypatch):
+        """A run in an environment of somebody's module, which is not imported yet."""
+        Path("theirs.py").write_text(
+            "import gymnasium\nfrom tactilerl.envs.toy import LQREnv\n"
+            "gymnasium.register('Id-v0', entry_point=LQREnv)\n"
+        )
+        monkeypatch.setattr(sys, "path", [*sys.path])
+        monkeypatch.setattr(plugins, "imported", [])
+        args = [*TOY, "--total-timesteps", "60", "--out", "run"]
+        args[args.index("lqr")] = "theirs:Id-v0"
+        monkeypatch.delitem(sys.modules, "theirs", raising=False)
+        assert main(args) == 0
+        monkeypatch.delitem(sys.modules, "theirs")
+        plugins.imported.clear()
+
+    @pytest.mark.parametrize("args", [["evaluate", "run", "--episodes", "1"], RESUME])
+    def test_a_module_of_a_saved_run_is_imported_only_when_asked_for(self, foreign, capsys, args):
+        fails_with(capsys, args, "of the module theirs", "give --import theirs")
+        assert "theirs" not in sys.modules
+        assert main([*args, "--import", "theirs"]) == 0
 
 
 class TestConfig:

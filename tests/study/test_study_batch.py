@@ -170,6 +170,18 @@ def test_a_study_without_a_batch_is_refused(tmp_path, in_a_loop, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_what_one_batch_cannot_train_is_one_line(tmp_path, in_a_loop, capsys):
+    study, out = write(tmp_path, STUDY), tmp_path / "out"
+    records.StudyFiles(out).create(grid.read(study))
+    train = ["study", "train", out, "--batch"]
+    names = [run.name for run in grid.read(study).runs()]
+    fails_with(capsys, [*train, *names[:1], "bullet_s0"], "run bullet_s0", "found 'pybullet'")
+    one, other = (next(n for n in names if n.startswith(kind)) for kind in ("ppo", "ddpg_her"))
+    fails_with(capsys, [*train, one, other], "--batch: found 2 batches in these runs, allowed 1")
+    args = ["study", "run", study, "--out", tmp_path / "new", "--on", "gpu", "--ranks-per-run", "2"]
+    fails_with(capsys, args, "--ranks-per-run: found 2, allowed 1 with --on gpu")
+
+
 def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
     args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]
     has_extra = shutil.which("nvidia-smi") or torch.cuda.is_available()

@@ -7,12 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import filelock
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.study import jobs, records
+from tactilerl.envs import plugins
+from tactilerl.study import grid, jobs, records
 from tactilerl.study.records import StudyFiles
 
 from one_line import fails_with, printed
@@ -90,6 +93,19 @@ class TestRun:
 
 
 class TestBeforeItStarts:
+    def test_a_module_in_a_study_file_is_imported_by_the_user_alone(
+        self, tmp_path, capsys, monkeypatch
+    ):
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.setattr(plugins, "imported", [])
+        (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
+        text = 'name = "x"\n[setups.x]\nenv = "evil:x-v0"\n'
+        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
+        fails_with(capsys, args, "the module evil", "--import evil")
+        assert not (tmp_path / "pwned").exists()
+        fails_with(capsys, [*args, "--import", "evil"], "x-v0")
+        assert (tmp_path / "pwned").exists()
+
     def test_a_measure_that_the_learner_does_not_have(self, tmp_path, capsys):
         text = 'name = "x"\nmeasure = "test_success_rate"\n[setups.x]\nenv = "lqr"\n'
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
@@ -111,6 +127,23 @@ class TestBeforeItStarts:
 
 
 class TestFailures:
+    @pytest.mark.parametrize("is_deadly", [True, False])
+    def test_only_runs_that_kill_workers_are_recorded(self, tmp_path, monkeypatch, is_deadly):
+        """Any other error ends the study, which goes on when it is run again."""
+        files, study = StudyFiles(tmp_path / "out"), grid.read(write(tmp_path))
+        files.create(study)
+        error = type("KilledWorker" if is_deadly else "Other", (Exception,), {})
+
+        def make_done(job):
+            raise error("gone")
+
+        monkeypatch.setattr(jobs, "make_done", make_done)
+        todo = [jobs.Job(files.path, (run,)) for run in study.runs()]
+        with ThreadPoolExecutor(1) as pool, nullcontext() if is_deadly else pytest.raises(error):
+            jobs.run_all(todo, pool, lambda run: None)
+        states = {files.record(run).state for run in study.runs()}
+        assert states == {"failed" if is_deadly else "left"}
+
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
         self, tmp_path, capsys, trained_here
     ):
