@@ -373,6 +373,14 @@ class TestUndo:
             assert verdicts.index("undo") < longest
             assert verdicts.count("undo") == 1
 
+    def test_a_lower_return_makes_another_failure(self):
+        """Where a timeout costs 0, and a miss 100, an epoch with both is no silent one."""
+        silence = Silence()
+        for returns in ([0.0, 1000.0], [0.0, -100.0]):
+            assert silence.judge(returns) == "learn"
+            assert silence.failure == min(returns)
+        assert silence.judge([-100.0, -100.0]) == "wait"
+
     def test_resumes_bit_for_bit_in_silence(self):
         def run(epochs, state=None):
             env = Switch()
