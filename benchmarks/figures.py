@@ -99,7 +99,7 @@ def main() -> None:
         for name in ("handover", "handover_fingers"):
             handover(name)
         save(study_tables.picture(), "study_layouts")
-        if (DATA / "layouts.tar.gz").is_file():  # once it has been run
-            save(layouts_study.picture(), "layouts_study")
+        for study in layouts_study.COLLECTED:
+            save(layouts_study.picture(study), study)
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

@@ -1,16 +1,18 @@
-"""Which layouts differ, and what predicts it? Tables of the study `layouts`, from its collected runs.
+"""Which layouts differ, and what predicts it? Tables of the collected studies of layouts.
 
 python -m benchmarks layouts_study
 
-The questions stand in studies/layouts.toml. A cell is a set-up (a learner and a hand) with a layout, or
-without touch; its samples are runs of independent seeds, which are not compared in pairs.
+The questions stand in studies/layouts.toml and layouts_pybullet.toml. A cell is a set-up (a learner and
+a hand) with a layout, or without touch; its samples are runs of independent seeds, which are not
+compared in pairs.
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-from functools import cache
+from collections.abc import Mapping
+from functools import cache, partial
 
 import numpy as np
 import pandas as pd
@@ -21,23 +23,20 @@ from tactilerl.statistics import Array, Estimate
 from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
-from benchmarks.command import data, markdown
+from benchmarks.command import DATA, data, markdown
 from benchmarks.studies.study_tables import drawn, estimate, load
 
-STUDY = "layouts"
-PAPERS = tuple(f"layout {i}" for i in range(1, 7))
-CHOSEN = ("4 chosen", "8 chosen")
-LAYOUTS, NONE = PAPERS + CHOSEN, "no touch"
+STUDIES = ("layouts", "layouts_pybullet")
+COLLECTED = [study for study in STUDIES if (DATA / f"{study}.tar.gz").is_file()]
+NONE = "no touch"
 LEARNERS, HANDS = ("ppo", "ddpg_her"), ("mpl", "shadow", "allegro")
-SETUPS = tuple(itertools.product(LEARNERS, HANDS))
-PAIRS = tuple(itertools.combinations(range(len(LAYOUTS)), 2))
 TEST, RUN = "last test", "mean over the run"
 WINDOWS = {"a fifth": (0.0, 0.2), "half": (0.3, 0.5), "all": (0.8, 1.0)}
 PREDICTORS = ("number of taxels", "area", "success at the first touch")
 MARGIN, DEAD = 0.05, 0.05
 N_RESAMPLES = 2_000
-Cells = dict[tuple[str, str], list[Array]]
-"""Scores (seeds,) of each layout, then without touch, in each set-up."""
+Cells = dict[tuple[str, str], dict[str, Array]]
+"""Scores (seeds,) of each layout, then without touch, in each set-up; all have the same names."""
 
 
 def row(record: Record) -> dict[str, object]:
@@ -68,18 +67,26 @@ def part(record: Record, begin: float, end: float = 1.0) -> float:
 
 
 @cache
-def runs() -> pd.DataFrame:
-    """Return the finished runs of the study."""
-    return pd.DataFrame([row(record) for record in load(STUDY)[1] if record.is_finished])
+def runs(study: str) -> pd.DataFrame:
+    """Return the finished runs of a study."""
+    return pd.DataFrame([row(record) for record in load(study)[1] if record.is_finished])
 
 
-def cells(score: str = TEST) -> Cells:
+def cells(study: str, score: str = TEST) -> Cells:
     """Return a score of all runs by set-up and cell; set-ups with two runs in each cell."""
-    groups = runs().groupby(["setup", "layout"])[score].apply(np.array).to_dict()
+    groups = runs(study).groupby(["setup", "layout"])[score].apply(np.array).to_dict()
+    present = {name for _, name in groups}
+    names = [*sorted(present - {NONE}, key=lambda name: (name.endswith("chosen"), name)), NONE]
     found = {
-        setup: [groups.get((setup, name), np.empty(0)) for name in (*LAYOUTS, NONE)] for setup in SETUPS
+        setup: {name: groups.get((setup, name), np.empty(0)) for name in names}
+        for setup in itertools.product(LEARNERS, HANDS)
     }
-    return {setup: of for setup, of in found.items() if min(map(len, of)) > 1}
+    return {setup: of for setup, of in found.items() if min(map(len, of.values())) > 1}
+
+
+def layouts(of: Cells) -> list[str]:
+    """Return the layouts: the paper's in order, then those that were chosen."""
+    return [name for name in next(iter(of.values())) if name != NONE]
 
 
 def name_of(setup: tuple[str, str]) -> str:
@@ -90,16 +97,18 @@ def name_of(setup: tuple[str, str]) -> str:
 
 def means(of: Cells) -> Array:
     """Return the mean of each cell, (set-ups, layouts and no touch)."""
-    return np.array([[cell.mean() for cell in group] for group in of.values()])
+    return np.array([[cell.mean() for cell in group.values()] for group in of.values()])
 
 
-def contrast(of: Cells, weights: Array, confidence: float = 0.95) -> tuple[Estimate, float]:
-    """Return the mean over set-ups of weighted sums of their cells, and its p-value against 0.
+def contrast(
+    of: Cells, weights: Mapping[str, float], confidence: float = 0.95
+) -> tuple[Estimate, float]:
+    """Return the mean over set-ups of weighted sums of cells, by name, and its p-value against 0.
 
     Welch's interval: each cell has a variance of its own, degrees of freedom are Satterthwaite's.
     """
-    samples = [cell for group in of.values() for cell in group]
-    factors = np.tile(weights, len(of)) / len(of)
+    samples = [group[name] for group in of.values() for name in weights]
+    factors = np.tile([*weights.values()], len(of)) / len(of)
     value = float(factors @ [cell.mean() for cell in samples])
     parts = np.array(
         [f**2 * cell.var(ddof=1) / len(cell) for f, cell in zip(factors, samples, strict=True)]
@@ -110,14 +119,9 @@ def contrast(of: Cells, weights: Array, confidence: float = 0.95) -> tuple[Estim
     return Estimate(value, float(low), float(high)), float(2 * min(t.cdf(0.0), t.sf(0.0)))
 
 
-def minus(i: int, j: int) -> Array:
-    """Return the weights of one cell minus another."""
-    weights = np.zeros(len(LAYOUTS) + 1)
-    weights[i], weights[j] = 1.0, -1.0
-    return weights
-
-
-GAIN = np.r_[np.full(len(LAYOUTS), 1 / len(LAYOUTS)), -1.0]  # all layouts minus no touch
+def gain(of: Cells) -> dict[str, float]:
+    """Return the weights of the mean over the layouts minus no touch."""
+    return {**dict.fromkeys(layouts(of), 1 / len(layouts(of))), NONE: -1.0}
 
 
 def resampled(of: Cells) -> tuple[Array, Array]:
@@ -126,7 +130,9 @@ def resampled(of: Cells) -> tuple[Array, Array]:
     Each is (resamples, set-ups, layouts and no touch).
     """
     rng = np.random.default_rng(0)
-    drawn = [[rng.choice(cell, (N_RESAMPLES, len(cell))) for cell in of[s]] for s in of]
+    drawn = [
+        [rng.choice(cell, (N_RESAMPLES, len(cell))) for cell in group.values()] for group in of.values()
+    ]
     mean = np.array([[runs.mean(axis=1) for runs in group] for group in drawn])
     square = np.array([[runs.var(axis=1, ddof=1) / runs.shape[1] for runs in group] for group in drawn])
     return np.moveaxis(mean, -1, 0), np.moveaxis(square, -1, 0)
@@ -140,24 +146,26 @@ def parts_of(of: Cells) -> dict[str, Cells]:
 # -- 1 and 2: touch, and layouts ---------------------------------------------------------------
 
 
-def show_touch() -> None:
+def show_touch(study: str) -> None:
     """Print what touch adds in each set-up, as the mean over the layouts."""
-    of = cells()
-    gains = [contrast({setup: group}, GAIN) for setup, group in of.items()]
+    of = cells(study)
+    gains = [contrast({setup: group}, gain(of)) for setup, group in of.items()]
     corrected = statistics.holm([p for _, p in gains])
     rows = []
-    for (setup, group), (gain, _), p in zip(of.items(), gains, corrected, strict=True):
-        levels = [f"{cell.mean():.2f}" for cell in group]
-        rows.append((name_of(setup), len(group[-1]), *levels, estimate(gain, "+.2f"), p_value(p)))
-    markdown(f"| set-up | seeds | {' | '.join((*LAYOUTS, NONE))} | touch − no touch | p, Holm |", rows)
+    for (setup, group), (added, _), p in zip(of.items(), gains, corrected, strict=True):
+        levels = [f"{cell.mean():.2f}" for cell in group.values()]
+        n_seeds = min(map(len, group.values()))
+        rows.append((name_of(setup), n_seeds, *levels, estimate(added, "+.2f"), p_value(p)))
+    names = " | ".join((*layouts(of), NONE))
+    markdown(f"| set-up | seeds | {names} | touch − no touch | p, Holm |", rows)
 
 
-def differences(of: Cells) -> list[Estimate]:
+def differences(of: Cells) -> dict[tuple[str, str], Estimate]:
     """Return each pair of layouts, averaged over set-ups, with intervals that hold for all at once.
 
     They reach as far as the largest |t| of any pair in 95 % of the studies from resampled seeds.
     """
-    left, right = np.transpose(PAIRS)
+    left, right = np.transpose([*itertools.combinations(range(len(layouts(of))), 2)])
 
     def pairs(mean: Array, square: Array) -> tuple[Array, Array]:
         """Return differences and standard errors (..., pairs) from (..., set-ups, cells)."""
@@ -165,29 +173,32 @@ def differences(of: Cells) -> list[Estimate]:
         error = np.sqrt(variance[..., left] + variance[..., right])
         return level[..., left] - level[..., right], error
 
-    squares = [[cell.var(ddof=1) / len(cell) for cell in group] for group in of.values()]
+    squares = [[cell.var(ddof=1) / len(cell) for cell in group.values()] for group in of.values()]
     value, error = pairs(means(of), np.array(squares))
     drawn, drawn_error = pairs(*resampled(of))
     largest = (np.abs(drawn - value) / np.maximum(drawn_error, 1e-12)).max(axis=1)
     reach = np.quantile(largest, 0.95) * error
-    return [Estimate(*map(float, one)) for one in zip(value, value - reach, value + reach, strict=True)]
+    found = np.transpose([value, value - reach, value + reach]).tolist()
+    names = itertools.combinations(layouts(of), 2)
+    return {pair: Estimate(*one) for pair, one in zip(names, found, strict=True)}
 
 
-def differ(pairs: list[Estimate]) -> list[bool]:
-    """Return which intervals leave out 0."""
-    return [pair.low > 0 or pair.high < 0 for pair in pairs]
+def differ(of: Cells) -> list[tuple[str, str]]:
+    """Return the pairs of layouts whose interval leaves out 0."""
+    return [pair for pair, one in differences(of).items() if one.low > 0 or one.high < 0]
 
 
-def show_pairs() -> None:
+def show_pairs(study: str) -> None:
     """Print the pairs of layouts that differ somewhere, in each set-up and pooled."""
-    by_part = {name: differences(of) for name, of in parts_of(cells()).items()}
-    found = np.array([differ(pairs) for pairs in by_part.values()])
-    rows = [("pairs that differ", *(f"{n} of {len(PAIRS)}" for n in found.sum(axis=1)))]
-    for k in np.flatnonzero(found.any(axis=0)):
-        i, j = PAIRS[k]
-        values = (estimate(pairs[k], "+.2f") for pairs in by_part.values())
-        rows.append((f"{LAYOUTS[i]} − {LAYOUTS[j]}", *values))
-    markdown(f"| | {' | '.join(by_part)} |", rows)
+    parts = parts_of(cells(study))
+    by_part = [differences(of) for of in parts.values()]
+    found = [differ(of) for of in parts.values()]
+    rows = [("pairs that differ", *(f"{len(pairs)} of {len(by_part[0])}" for pairs in found))]
+    for pair in by_part[0]:
+        if any(pair in pairs for pairs in found):
+            values = (estimate(differences[pair], "+.2f") for differences in by_part)
+            rows.append((" − ".join(pair), *values))
+    markdown(f"| | {' | '.join(parts)} |", rows)
 
 
 def rank_correlation(a: Array, b: Array) -> float:
@@ -208,9 +219,9 @@ def concordance(values: Array) -> tuple[float, float]:
     return float(test.statistic), float(test.pvalue)
 
 
-def show_agreement() -> None:
+def show_agreement(study: str) -> None:
     """Print how far set-ups agree in the order of the layouts."""
-    of, rows = cells(), []
+    of, rows = cells(study), []
     groups = {f"hands, {style.NAMES[one]}": [s for s in of if s[0] == one] for one in LEARNERS}
     for name, members in {"set-ups": [*of], **groups}.items():
         if len(members) > 2:
@@ -232,13 +243,13 @@ def show_agreement() -> None:
 # -- 3: what predicts it -------------------------------------------------------------------------
 
 
-def predictors(hands: list[str]) -> Array:
+def predictors(hands: list[str], names: list[str]) -> Array:
     """Return what may predict a layout's score, (hands, layouts, predictors).
 
     Success is of `tactilerl design --scene handover_anywhere --env HAND --taxels 1..8`.
     """
     known = data("first_touch")
-    rows = [[known[hand][layout] for layout in LAYOUTS] for hand in hands]
+    rows = [[known[hand][layout] for layout in names] for hand in hands]
     return np.array([[(np.log(r["taxels"]), r["area_mm2"], r["success"]) for r in row] for row in rows])
 
 
@@ -263,14 +274,15 @@ def predicted(x: Array, y: Array, by_hand: bool) -> float:
     return 1.0 - sum_of_errors / sum_of_squares
 
 
-def show_predictors() -> None:
+def show_predictors(study: str) -> None:
     """Print the share of the variance between layouts that is predicted where one was left out."""
     rows = []
     for learner in LEARNERS:
-        of = {setup: group for setup, group in cells().items() if setup[0] == learner}
+        of = {setup: group for setup, group in cells(study).items() if setup[0] == learner}
         if len(of) < 2:
             continue
-        x, y, drawn = predictors([hand for _, hand in of]), means(of)[:, :-1], resampled(of)[0]
+        x = predictors([hand for _, hand in of], layouts(of))
+        y, drawn = means(of)[:, :-1], resampled(of)[0]
         for name, columns in {
             **{n: [i] for i, n in enumerate(PREDICTORS)},
             "all three": [0, 1, 2],
@@ -288,11 +300,13 @@ def show_predictors() -> None:
 # -- 4, 5, 6: few taxels, dead runs, budgets -----------------------------------------------------
 
 
-def show_equivalence() -> None:
+def show_equivalence(study: str) -> None:
     """Print whether few placed taxels are as good as each of the paper's layouts."""
-    rows = []
-    for (name, of), few in itertools.product(parts_of(cells()).items(), CHOSEN):
-        pairs = [contrast(of, minus(LAYOUTS.index(few), LAYOUTS.index(one)), 0.90)[0] for one in PAPERS]
+    all_cells, rows = cells(study), []
+    chosen = [name for name in layouts(all_cells) if name.endswith("chosen")]
+    papers = [name for name in layouts(all_cells) if name not in chosen]
+    for (name, of), few in itertools.product(parts_of(all_cells).items(), chosen):
+        pairs = [contrast(of, {few: 1.0, one: -1.0}, 0.90)[0] for one in papers]
         low, high = min(pair.low for pair in pairs), max(pair.high for pair in pairs)
         verdict = "cannot tell"
         if low > -MARGIN:
@@ -300,49 +314,53 @@ def show_equivalence() -> None:
         elif any(pair.high < -MARGIN for pair in pairs):
             verdict = "worse"
         rows.append((name, few, *(estimate(pair, "+.2f") for pair in pairs), verdict))
-    markdown(f"| set-up | taxels | {' | '.join(f'− {one}' for one in PAPERS)} | verdict |", rows)
+    markdown(f"| set-up | taxels | {' | '.join(f'− {one}' for one in papers)} | verdict |", rows)
 
 
-def show_dead() -> None:
+def show_dead(study: str) -> None:
     """Print how many runs end dead."""
-    rows = []
-    for setup, group in cells().items():
-        rows.append((name_of(setup), *(f"{(cell < DEAD).sum()} of {len(cell)}" for cell in group)))
-    markdown(f"| set-up | {' | '.join((*LAYOUTS, NONE))} |", rows)
+    of, rows = cells(study), []
+    for setup, group in of.items():
+        dead = (f"{(cell < DEAD).sum()} of {len(cell)}" for cell in group.values())
+        rows.append((name_of(setup), *dead))
+    markdown(f"| set-up | {' | '.join((*layouts(of), NONE))} |", rows)
 
 
-def show_budgets() -> None:
+def show_budgets(study: str) -> None:
     """Print what the first two questions say after a part of the run."""
-    last, rows = means(cells())[:, :-1].mean(axis=0), []
+    last, rows = means(cells(study))[:, :-1].mean(axis=0), []
     for name in (*WINDOWS, RUN, TEST):
-        of = cells(name)
-        alone = [sum(differ(differences({s: group}))) for s, group in of.items()]
-        row = estimate(contrast(of, GAIN)[0], "+.2f"), np.mean(alone), sum(differ(differences(of)))
+        of = cells(study, name)
+        added = estimate(contrast(of, gain(of))[0], "+.2f")
+        alone = np.mean([len(differ({s: group})) for s, group in of.items()])
         correlation = rank_correlation(means(of)[:, :-1].mean(axis=0), last)
-        rows.append((name, row[0], f"{row[1]:.1f}", row[2], f"{correlation:.2f}"))
+        rows.append((name, added, f"{alone:.1f}", len(differ(of)), f"{correlation:.2f}"))
     head = "| score | touch − no touch | pairs that differ in a set-up | pooled |"
     markdown(f"{head} rank correlation with the last test |", rows)
 
 
-def picture() -> Figure:
+def picture(study: str) -> Figure:
     """Draw the last test of each layout in each set-up, with intervals over the seeds."""
-    of = cells()
-    levels = {
-        name: [contrast({s: group}, weights)[0] for s, group in of.items()]
-        for name, weights in zip((*LAYOUTS, NONE), np.eye(len(LAYOUTS) + 1), strict=True)
-    }
-    colours = *style.MORE_COLOURS[: len(PAPERS)], *style.GROUPS[:2], "0.6"
+    of = cells(study)
+    names = [*layouts(of), NONE]
+    levels = {name: [contrast({s: group}, {name: 1.0})[0] for s, group in of.items()] for name in names}
+    chosen = [name for name in names if name.endswith("chosen")]
+    papers = style.MORE_COLOURS[: len(names) - len(chosen) - 1]
+    colours = *papers, *style.GROUPS[: len(chosen)], "0.6"
     figure = drawn(levels, [*map(name_of, of)], colours)
     figure.axes[0].set(xlabel="success in the last test, without noise", xlim=(0, 1))
     return figure
 
 
+QUESTIONS = {
+    "touch": show_touch,
+    "pairs": show_pairs,
+    "agreement": show_agreement,
+    "predictors": show_predictors,
+    "equivalence": show_equivalence,
+    "dead": show_dead,
+    "budgets": show_budgets,
+}
 TABLES = {
-    "layouts touch": show_touch,
-    "layouts pairs": show_pairs,
-    "layouts agreement": show_agreement,
-    "layouts predictors": show_predictors,
-    "layouts equivalence": show_equivalence,
-    "layouts dead": show_dead,
-    "layouts budgets": show_budgets,
+    f"{study} {name}": partial(show, study) for study in COLLECTED for name, show in QUESTIONS.items()
 }
