@@ -319,10 +319,11 @@ def show_equivalence(study: str) -> None:
 
 def show_dead(study: str) -> None:
     """Print how many runs end dead."""
-    of, rows = cells(study), []
-    for setup, group in of.items():
-        dead = (f"{(cell < DEAD).sum()} of {len(cell)}" for cell in group.values())
-        rows.append((name_of(setup), *dead))
+    of = cells(study)
+    rows = [
+        (name_of(setup), *(f"{(cell < DEAD).sum()} of {len(cell)}" for cell in group.values()))
+        for setup, group in of.items()
+    ]
     markdown(f"| set-up | {' | '.join((*layouts(of), NONE))} |", rows)
 
 
@@ -342,12 +343,12 @@ def show_budgets(study: str) -> None:
 def picture(study: str) -> Figure:
     """Draw the last test of each layout in each set-up, with intervals over the seeds."""
     of = cells(study)
-    names = [*layouts(of), NONE]
-    levels = {name: [contrast({s: group}, {name: 1.0})[0] for s, group in of.items()] for name in names}
-    chosen = [name for name in names if name.endswith("chosen")]
-    papers = style.MORE_COLOURS[: len(names) - len(chosen) - 1]
-    colours = *papers, *style.GROUPS[: len(chosen)], "0.6"
-    figure = drawn(levels, [*map(name_of, of)], colours)
+    levels = {
+        name: [contrast({setup: group}, {name: 1.0})[0] for setup, group in of.items()]
+        for name in (*layouts(of), NONE)
+    }
+    colours = (*style.MORE_COLOURS, *style.GROUPS)[: len(levels) - 1]
+    figure = drawn(levels, [*map(name_of, of)], (*colours, "0.6"))
     figure.axes[0].set(xlabel="success in the last test, without noise", xlim=(0, 1))
     return figure
 
