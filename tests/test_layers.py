@@ -14,7 +14,6 @@ ALLOWED = {
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
     "dask": ("tactilerl/study/executors.py",),
-    "dask_jobqueue": ("tactilerl/study/executors.py",),
     "matplotlib": ("benchmarks/", "tactilerl/study/figures.py"),
     "torch": (
         *("algos/", "tactilerl/", "benchmarks/"),
