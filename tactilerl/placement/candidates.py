@@ -28,16 +28,6 @@ INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
 
 
-class Kind(NamedTuple):
-    """A kind of sensor, as far as a design takes it into account; what is None nobody said."""
-
-    name: str | None
-    radius: float | None
-    threshold: float | None
-    delay: float
-    cost: Cost | None
-
-
 @dataclass(frozen=True)
 class DesignFlags:
     """Options of a design: which taxels may be chosen, by what, and from which starts."""
@@ -48,8 +38,7 @@ class DesignFlags:
     env: str = ""
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
     sensor: str = ""
-    """A sensor, by name or .toml file: its radius, threshold, delay and price. With several, each has a
-    table of its own, on the same starts."""
+    """A sensor, by name or .toml file: its radius, threshold, delay and price."""
     budget: Annotated[float, "(0, inf)"] | None = None
     """Money for taxels and boards, in the currency of the sensor's [cost]; the table also shows what
     smaller sums buy."""
@@ -67,13 +56,10 @@ class DesignFlags:
     """Smallest distance of a taxel from each edge of its segment, mm, so that a housing fits."""
     only: tuple[str, ...] = ()
     """Only on these segments, digits, or segments of digits, such as palm distal index.middle."""
-    leave_out: tuple[str, ...] = ()
-    """Not on these, named as for --only."""
     keep: str = ""
     """A layout whose taxels the hand already has; the chosen ones are added to them."""
     taxel_threshold: Newtons | None = None
-    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or any touch. With
-    several, there is a table for each."""
+    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or any touch."""
     survives: str = ""
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
@@ -91,25 +77,15 @@ class DesignFlags:
     workers: WorkerCount = None
     """Starts played side by side; default: one per free core. Results do not depend on it."""
 
-    def kind(self, scene: GraspConfig) -> Kind:
-        """Return the sensor: what a flag says counts, then its file, then the scene."""
-        file = sensors.load(self.sensor) if self.sensor else None
-        known: dict[str, Any] = {
-            "taxel_threshold": scene.taxel_threshold,
-            "taxel_delay": scene.taxel_delay * scene.control_dt,
-            **(file.numbers if file else {}),
+    @property
+    def choices(self) -> dict[str, Any]:
+        """What these flags say of the scenes' taxels."""
+        said = {
+            "sensor": self.sensor or None,
+            "taxel_radius": self.radius and 1e-3 * self.radius,
+            "taxel_threshold": self.taxel_threshold,
         }
-        if self.radius is not None:
-            known["taxel_radius"] = 1e-3 * self.radius
-        if self.taxel_threshold is not None:
-            known["taxel_threshold"] = self.taxel_threshold
-        return Kind(
-            name=file.name if file else None,
-            radius=known.get("taxel_radius"),
-            threshold=known["taxel_threshold"],
-            delay=known["taxel_delay"],
-            cost=file.cost if file else None,
-        )
+        return {name: value for name, value in said.items() if value is not None}
 
     @property
     def numbers(self) -> range:
@@ -131,7 +107,10 @@ class DesignFlags:
 
 
 def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
-    """Return the hand and its scenes by name; ValueError where a design cannot be made in one."""
+    """Return the hand and its scenes by name, with the sensor that may be bought.
+
+    Raise ValueError where a design cannot be made in one.
+    """
     env, configs = flags.env or scenes.load(flags.scene[0]).env, {}
     for name in flags.scene:
         config = setup(env, **scenes.load(name).on(env))
@@ -147,7 +126,7 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
                 f"scene: found {name}, where touch is off or taxels fail at random, which no recording "
                 "can know; --survives designs for the worst loss"
             )
-        configs[name] = config
+        configs[name] = sensors.choose(config, flags.choices)
     return env, configs
 
 
@@ -157,12 +136,8 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     names = [
         {*_names(surface), *({surface.digit} - segments)} for surface in hand.surfaces
     ]
-    require_known((*flags.only, *flags.leave_out), set().union(*names))
-    is_allowed = [
-        (not flags.only or not answers.isdisjoint(flags.only))
-        and answers.isdisjoint(flags.leave_out)
-        for answers in names
-    ]
+    require_known(flags.only, set().union(*names))
+    is_allowed = [not flags.only or bool(each & {*flags.only}) for each in names]
     taxels, margin = places.skin(flags.skin, hand), 1e-3 * flags.margin
     spots = zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
     allowed = [
@@ -172,7 +147,7 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
         and (not margin or has_margin(hand.surfaces[index], row, column, margin))
     ]
     if not allowed:
-        where = "that --only, --not and --margin allow"
+        where = "that --only and --margin allow"
         raise ValueError(f"skin: found no place of {flags.skin} {where}")
     return taxels.take(allowed)
 
@@ -339,13 +314,12 @@ class Prices:
         return [size for size in sizes if self._price(*size) <= budget]
 
 
-def priced(
-    flags: DesignFlags, cost: Cost | None, hand: Hand, skin: Taxels, free: Array
-) -> Prices | None:
+def priced(flags: DesignFlags, hand: Hand, skin: Taxels, free: Array) -> Prices | None:
     """Return what taxels cost; None where nobody says it.
 
     Raise ValueError for a budget then, and for one that may be chosen and that no board serves.
     """
+    cost = sensors.load(flags.sensor).cost if flags.sensor else None
     if cost is None:
         for flag in ("budget", "boards"):
             if value := getattr(flags, flag):
@@ -373,8 +347,6 @@ class Pool:
     env: str
     scenes: dict[str, GraspConfig]
     hand: Hand
-    sensor: Kind
-    """The sensor that may be bought."""
     skin: Taxels
     """First those that the hand has already, then candidates, then layouts to compare with."""
     existing: list[int]
@@ -397,12 +369,12 @@ class Pool:
         flags.validate()
         env, scenes = scenes_of(flags)
         hand = hands.get(env)
-        sensor = flags.kind(next(iter(scenes.values())))
-        fit = fitted(candidates(flags, hand), radius=sensor.radius)
+        first = next(iter(scenes.values()))
+        fit = fitted(candidates(flags, hand), radius=first.taxel_radius)
         there = layouts.load(flags.keep).place(hand) if flags.keep else fit.take([])
         named = [layouts.load(name).place(hand) for name in flags.beside]
         skin, (existing, chosen_from, *beside) = joined([there, fit, *named])
-        skin = fitted(skin, threshold_N=sensor.threshold)
+        skin = fitted(skin, threshold_N=first.taxel_threshold)
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
         taken = {spots[index] for index in existing}
@@ -413,14 +385,13 @@ class Pool:
             env=env,
             scenes=scenes,
             hand=hand,
-            sensor=sensor,
             skin=skin,
             existing=existing,
             free=free,
             references=dict(zip(flags.beside, beside, strict=True)),
             losses=groups_of(flags.survives or "taxel", hand, skin, "survives"),
-            prices=priced(flags, sensor.cost, hand, skin, free),
-            overlap=None if sensor.radius is None else overlap(hand, skin.take(own)),
+            prices=priced(flags, hand, skin, free),
+            overlap=overlap(hand, skin.take(own)) if first.taxel_radius else None,
         )
         most = pool.sizes()[-1][0]
         if flags.budget is None and most > free.sum():
@@ -429,10 +400,14 @@ class Pool:
         return pool
 
     @property
+    def first(self) -> GraspConfig:
+        """The first scene: its sensor is that of all."""
+        return next(iter(self.scenes.values()))
+
+    @property
     def waits(self) -> tuple[float, ...]:
         """Ways to wait: shares by which the hand is closed."""
-        first = next(iter(self.scenes.values()))
-        return self.flags.start_closing or (first.start_closing,)
+        return self.flags.start_closing or (self.first.start_closing,)
 
     @property
     def to_survive(self) -> Array:
