@@ -11,7 +11,7 @@ from ..envs import layouts
 from ..errors import input_errors
 from ..files import as_json, replacing, require_new
 from ..machine import free_cores
-from ..pictures import places
+from ..pictures import hand_map
 from ..placement.candidates import DesignFlags, Pool
 from ..placement.choice import Design, design, n_played
 from ..placement.page import page
@@ -144,7 +144,7 @@ def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in words and in the frames of the links."""
     table = _wrapping("", "taxel", "link", "place, mm", "radius")
     taxels = result.pool.skin.take(result.best)
-    words = places.described(taxels, result.pool.hand)
+    words = hand_map.described(taxels, result.pool.hand)
     for number, (point, where) in enumerate(zip(taxels.points, words, strict=True), 1):
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
         table.add_row(str(number), where, point.link, place, f"{1e3 * point.radius:g}")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,14 +16,16 @@ from ..envs import hands, layouts, scenes, sensors, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand, Surface
 from ..envs.hands.geometry import placed
-from ..envs.layouts import Taxels
+from ..envs.layouts import Layout, Patch, Taxels
 from ..envs.observations import TaxelFaults
 from ..envs.sensors import Cost
 from ..envs.state import Array
 from ..envs.validation import Newtons, require_known
 from ..machine import WorkerCount
-from ..pictures import places
+from ..pictures import hand_map
 
+Spacing = Annotated[float, "[0.5, 50]"]
+"""Distance of the taxels of a dense skin, mm."""
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
@@ -138,7 +141,7 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     ]
     require_known(flags.only, set().union(*names))
     is_allowed = [not flags.only or bool(each & {*flags.only}) for each in names]
-    taxels, margin = places.skin(flags.skin, hand), 1e-3 * flags.margin
+    taxels, margin = skin(flags.skin, hand), 1e-3 * flags.margin
     spots = zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
     allowed = [
         i
@@ -150,6 +153,48 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
         where = "that --only and --margin allow"
         raise ValueError(f"skin: found no place of {flags.skin} {where}")
     return taxels.take(allowed)
+
+
+def skin(name: str, hand: Hand) -> Taxels:
+    """Return a layout's taxels, or those of a dense skin such as "2mm".
+
+    That is a grid over the palmar side of the whole hand, with every segment and a flat palm around the
+    bases of the fingers; its taxels have the radius of the hand's own. Raise ValueError and
+    FileNotFoundError where there is none.
+    """
+    if "\n" in name or not name.endswith("mm"):
+        return layouts.load(name).place(hand)
+    try:
+        spacing = validation.require_type(float(name[:-2]), Spacing, "skin")
+    except ValueError:
+        raise ValueError(
+            f"skin: found {name!r}, allowed a layout, or a spacing from 0.5mm to 50mm"
+        ) from None
+    patches, radius = [], hand.pitch.radius
+    for surface in hand.surfaces:
+        offsets = tuple(_grid(surface, 1e-3 * spacing, radius))
+        names = (surface.digit,), (surface.segment,)
+        patches.append(Patch(*names, offsets, 1e3 * radius))
+    return Layout(name, "", tuple(patches)).place(hand)
+
+
+def _grid(
+    surface: Surface, spacing: float, radius: float
+) -> Iterator[tuple[float, float]]:
+    """Yield (row, column) in mm of as many as the surface carries, through its middle.
+
+    `spacing` and `radius` are in m. The tip of a capsule is round and its taxels stand as on a
+    cylinder: rows go on over the tip as long as a taxel still reaches the skin under it.
+    """
+    begin, end, half_width = surface.span
+    if surface.segment == "distal" and surface.bone is not None:
+        end += np.sqrt((half_width + radius) ** 2 - half_width**2)
+    rows = np.arange(np.ceil(begin / spacing), np.floor(end / spacing) + 1) * spacing
+    beside = np.floor(half_width / spacing)
+    columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
+    for row, column in product(rows.tolist(), columns.tolist()):
+        if not surface.is_gap(row, column):
+            yield 1e3 * row, 1e3 * column
 
 
 def _names(surface: Surface) -> set[str]:
@@ -192,7 +237,7 @@ def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
 
 def overlap(hand: Hand, taxels: Taxels) -> Array:
     """Return which two sensors do not fit beside each other on the open hand, bool (n, n)."""
-    data = places.at_start(hand)
+    data = hand_map.at_start(hand)
     points = np.array([placed(data, p.link, p.position) for p in taxels.points])
     least = np.add.outer(taxels.radii, taxels.radii) - TOUCHING
     return np.asarray(cdist(points, points) < least)

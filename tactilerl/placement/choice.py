@@ -13,7 +13,7 @@ from .. import statistics
 from ..envs import layouts, validation
 from ..envs.grasp import GraspConfig
 from ..envs.layouts import Layout
-from ..pictures import places
+from ..pictures import hand_map
 from ..scripted import gate
 from . import cover
 from .candidates import DesignFlags, Pool
@@ -216,7 +216,7 @@ class Design:
             "verdict": " ".join(self.sentences()),
             "places": {
                 f"{key:g}": [
-                    place._asdict() for place in places.of(pool.skin.take(taxels))
+                    place._asdict() for place in hand_map.places(pool.skin.take(taxels))
                 ]
                 for key, taxels in self.chosen.items()
             },

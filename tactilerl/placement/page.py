@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..envs import layouts
-from ..pictures import places
+from ..pictures import hand_map
 from ..pictures.hand_map import LETTERS, Unrolled
 from ..style import NAMES
 from .choice import Design
@@ -34,8 +34,8 @@ def _data(design: Design) -> dict[str, Any]:
     drawn, simulator = Unrolled(hand), pool.first.simulator
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
     candidates = pool.whole
-    words, dots = places.described(taxels, hand), []
-    for index, place in enumerate(places.of(taxels)):
+    words, dots = hand_map.described(taxels, hand), []
+    for index, place in enumerate(hand_map.places(taxels)):
         x, y = drawn.point(place)
         layout = layouts.of_taxels(taxels.take([index]), hand, "")
         dots.append(
