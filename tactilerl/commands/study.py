@@ -15,7 +15,7 @@ from rich.table import Table
 
 from ..errors import InputError, extra, input_errors
 from ..files import pasted, require_new
-from ..study import batch, executors, grid, jobs, records
+from ..study import batch, grid, jobs, records
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
 from ..terminal.console import Progress, about, console
@@ -62,7 +62,7 @@ class Run:
             for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
             runs = [run for one in batches for run in one.runs]
-        with executors.start(self.on, self.jobs, self.ranks_per_run) as pool:
+        with jobs.executor(self.on, self.jobs, self.ranks_per_run) as pool:
             files.create(study)
             if self.retry_failed:
                 for run in runs:
