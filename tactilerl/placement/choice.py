@@ -162,13 +162,6 @@ class Design:
         return self.judge.pool
 
     @property
-    def at(self) -> str:
-        """Sensor and threshold, as a part of a sentence."""
-        sensor, threshold = self.pool.flags.sensor, self.pool.first.taxel_threshold
-        with_sensor = f" with {layouts.short(sensor)}" if sensor else ""
-        return with_sensor + ("" if threshold is None else f" at {threshold:g} N")
-
-    @property
     def best(self) -> list[int]:
         """The largest set, or the dearest."""
         return self.chosen[max(self.chosen)]
@@ -179,7 +172,12 @@ class Design:
         chosen = [row for row in self.rows if row.layout == "chosen"]
         paying = [row for row in chosen if gate.pays(row.success, blind)]
         row = paying[0] if paying else max(chosen, key=lambda row: row.success)
-        verdict = f"Touch {'pays' if paying else 'does not pay'}{self.at}"
+        sensor, threshold = self.pool.flags.sensor, self.pool.first.taxel_threshold
+        verdict = f"Touch {'pays' if paying else 'does not pay'}"
+        if sensor:
+            verdict += f" with {layouts.short(sensor)}"
+        if threshold is not None:
+            verdict += f" at {threshold:g} N"
         if paying and len(chosen) > 1:
             verdict += f" from {_taxels(row.taxels, row.price)} on"
         said = [
