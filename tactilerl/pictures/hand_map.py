@@ -1,4 +1,4 @@
-"""Where taxels are on a hand: as places, in words, and drawn on the hand unrolled.
+"""Say where taxels are on a hand: as places, in words, and drawn on the hand unrolled.
 
 Unrolled, its palmar side is a column a digit, fingertips up.
 """

@@ -82,7 +82,7 @@ class DesignFlags:
 
     @property
     def choices(self) -> dict[str, Any]:
-        """What these flags say of the scenes' taxels."""
+        """The fields of the scenes that these flags choose: which sensor their taxels are."""
         said = {
             "sensor": self.sensor or None,
             "taxel_radius": self.radius and 1e-3 * self.radius,
