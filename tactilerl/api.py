@@ -31,7 +31,7 @@ from .envs.layouts import Layout
 from .envs.validation import require_known
 from .machine import free_cores
 from .runs import evaluation, policies, training
-from .runs.config import RunOptions
+from .runs.config import RunConfig, RunOptions
 from .runs.store import resolve
 from .terminal.epochs import EpochLog
 
@@ -73,19 +73,17 @@ class Learner:
 
         Raises ValueError, in one line, for an invalid argument.
         """
-        defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device)
-        require_known(
-            hyperparameters, validation.names(defaults) | {*options, "recipe"}
-        )
-        self.config = validation.replace(defaults, hyperparameters)
-        self._run = validation.replace(RunOptions(algo=self.algo), options)
-        validation.require(RunOptions, vars(self._run))
-        validation.validate(self.config)
+        learner = recipes.recipe(self.algo, recipe)
+        known = validation.names(learner) | {*options, "recipe"}
+        require_known(hyperparameters, known)
+        usual = RunConfig(RunOptions(algo=self.algo), None, learner)
+        self._chosen = usual.choose(options | hyperparameters)
+        self.config = self._chosen.learner
         self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers)
         with _one_thread():  # a thread that is started inside has one too
-            started = training.start_learner(self._run, self.config, start, self._comm)
+            started = training.start_learner(self._chosen, start, self._comm)
         self._learner, self._workers = started
 
     @property
@@ -113,8 +111,7 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        run = validation.replace(self._run, {"total_timesteps": total_timesteps})
-        validation.require(RunOptions, vars(run))
+        run = self._chosen.choose({"total_timesteps": total_timesteps}).run
         learner = self._learner
         learner.total_timesteps = learner.env_steps + run.total_timesteps
         events = None if tensorboard is None else Path(tensorboard)
@@ -233,9 +230,7 @@ def train(
     when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
     is kept.
     """
-    if resume is not None and out is not None:
-        raise ValueError("out: found with resume; a resumed run stays in its folder")
-    base = resolve(algo, env or "", recipe, scene, resume)
+    base = resolve(algo, env or "", recipe, scene, resume, out)
     named = {"env": env, "algo": algo, "out": None if out is None else str(out)}
     flags |= {name: value for name, value in named.items() if value is not None}
     return training.train(base.choose(flags), mpi.world())

@@ -53,20 +53,15 @@ ALMOST_CLOSED = 0.85  # share of their way where fingers lie in front of the pal
 AXES = [*np.eye(3), *-np.eye(3)]
 
 
-def describe(model: str, folder: Path, known: dict[str, Any]) -> str:
-    """Return the text of a hand's file in a folder.
-
-    `model` is written as in the file, `known` has keys of the file that are not to be guessed, and
-    `servos` where the model's are to be dropped. Raises ValueError naming what the model does not say.
-    """
-    return Guess(model, folder, known).toml()
-
-
 class Guess:
     """Guess palm, digits and poses of a model. Raise ValueError naming what it does not say."""
 
     def __init__(self, model: str, folder: Path, known: dict[str, Any]) -> None:
-        """Find the palm and the chains of links that hang on it."""
+        """Find the palm and the chains of links that hang on it.
+
+        `model` is written as in the hand's file, which is to lie in `folder`. `known` has keys of the
+        file that are not to be guessed, and `servos` where the model's are to be dropped.
+        """
         self.folder = folder
         unknown = {"palmar": [1, 0, 0], "fingers": [0, 1, 0], "palm_point": [0, 0, 0]}
         empty = {"palm": "", "digits": {}, "drop": []}

@@ -13,8 +13,7 @@ ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/", "tactilerl/import_hand.py"),
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
-    "dask": ("tactilerl/study/executors.py",),
-    "dask_jobqueue": ("tactilerl/study/executors.py",),
+    "dask": ("tactilerl/study/jobs.py",),
     "matplotlib": ("benchmarks/", "tactilerl/study/figures.py"),
     "torch": (
         *("algos/", "tactilerl/", "benchmarks/"),

@@ -21,7 +21,7 @@ from tactilerl.envs import layouts, scenes, touch
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.layouts import Taxels
 from tactilerl.envs.simulators import mujoco as simulator
-from tactilerl.pictures import places
+from tactilerl.placement import candidates
 
 from benchmarks.command import markdown, measure_missing, parser, progress
 
@@ -72,7 +72,7 @@ def proud(normal: Any) -> Callable[..., None]:
 def compare(hand: str, scene: str) -> dict[str, Any]:
     """Return readings by the rule and by MuJoCo's sensors, N (starts, taxels)."""
     env = environment(hand, scene, "1", "skin")
-    skin = places.skin("6mm", env.hand)
+    skin = candidates.skin("6mm", env.hand)
     skin = replace(skin, points=tuple(point._replace(radius=RADIUS) for point in skin.points))
     rule = touch.ForceRule(skin, env.hand)
     ruled = np.array(

@@ -24,7 +24,7 @@ from subprocess import PIPE, STDOUT, TimeoutExpired, run
 from sys import executable
 from typing import Any
 
-from tactilerl.import_hand import describe
+from tactilerl.import_hand import Guess
 
 from benchmarks.command import ROOT, count, earlier, markdown, parser, write
 
@@ -60,7 +60,7 @@ def found_model(model: str, folder: Path) -> str:
 def guess(model: str) -> dict[str, Any]:
     """Return the guessed palm and digits of a model, each by its last link; {} without a guess."""
     try:
-        file = tomllib.loads(describe(model, Path(), {}))
+        file = tomllib.loads(Guess(model, Path(), {}).toml())
     except ValueError:
         return {}
     digits = {name: about["links"][-1] for name, about in file["digits"].items()}

@@ -51,8 +51,8 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
         config = dataclasses.replace(config, **QUICK)
     if config.simulator == "pybullet":  # several times as slow
         starts, search = max(1, starts // 2), max(1, search // 4)
-    played = gate.numbers(0, starts, search)
-    results = gate.examine(env, config, *played, free_cores(), senses=senses)
+    searched, compared = gate.numbers(0, search, gate.SEARCH), gate.numbers(0, starts)
+    results = gate.examine(env, config, searched, compared, free_cores(), senses=senses)
     rates = {each.name: dataclasses.asdict(each) for each in results}
     return {"scene": name, "env": env, "choices": choices, "reflexes": rates}
 

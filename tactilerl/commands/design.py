@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
 from rich.table import Column, Table
 
 from ..envs import layouts
-from ..errors import InputError, input_errors
+from ..errors import input_errors
 from ..files import as_json, replacing, require_new
 from ..machine import free_cores
-from ..pictures import places
+from ..pictures import hand_map
 from ..placement.candidates import DesignFlags, Pool
 from ..placement.choice import Design, design, n_played
 from ..placement.page import page
@@ -43,8 +41,6 @@ NAMED = {
 class Flags(DesignFlags):
     """All flags of `tactilerl design`."""
 
-    leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
-    """Not on these segments or digits, named likewise."""
     out: Path | None = None
     """FILE.toml for the largest layout, or a folder for all of them, a page and JSON."""
     overwrite: bool = False
@@ -53,33 +49,18 @@ class Flags(DesignFlags):
 
 def main(args: list[str]) -> int:
     """Run `tactilerl design --scene handover --taxels 1`."""
-    sensors, args = flags.several(args, "--sensor")
-    thresholds, args = flags.several(args, "--taxel-threshold", float)
     read = flags.parse(Flags, args, "tactilerl design", ABOUT)
-    asked = [
-        replace(read, sensor=sensor, taxel_threshold=threshold)
-        for sensor in sensors or [read.sensor]
-        for threshold in thresholds or [read.taxel_threshold]
-    ]
     with input_errors():
         if read.out is not None:
-            if len(asked) > 1:
-                raise InputError("--out: found with several designs, allowed with one")
             require_new(read.out, read.overwrite, ".toml", "")
-        pools = [Pool.of(one) for one in asked]
-        notes = []
-        for pool in pools:
-            name, _, threshold, *_ = pool.sensor
-            for scene in pool.scenes.values():
-                sensed = replace(scene, sensor=name or "", taxel_threshold=threshold)
-                notes += sensor_notes(pool.env, sensed)
-        warn(notes)
-        total, workers = sum(map(n_played, pools)), read.workers or free_cores()
+        pool = Pool.of(read)
+        scenes = pool.scenes.values()
+        warn([note for scene in scenes for note in sensor_notes(pool.env, scene)])
+        total = n_played(pool)
         tick = Progress(f"playing about {total} episodes", total)
-        results = [design(pool, workers, tick) for pool in pools]
-        written = [] if read.out is None else write(results[0], read.out)
-    for result in results:
-        show(result)
+        result = design(pool, read.workers or free_cores(), tick)
+        written = [] if read.out is None else write(result, read.out)
+    show(result)
     for path in written:
         console.print(str(path))
     return 0
@@ -136,7 +117,6 @@ def _table(result: Design) -> Table:
     if given.survives:
         columns.append(f"after the worst loss ({layouts.short(given.survives)})")
     table = _wrapping(*columns, "waits at")
-    table.title = result.at.strip() or None
     for row in result.rows:
         name = NAMED.get(row.layout, f"layout {layouts.short(row.layout)}")
         cells = [str(row.taxels)]
@@ -164,7 +144,7 @@ def _places(result: Design) -> Table:
     """Return a table of where the largest chosen set is, in words and in the frames of the links."""
     table = _wrapping("", "taxel", "link", "place, mm", "radius")
     taxels = result.pool.skin.take(result.best)
-    words = places.described(taxels, result.pool.hand)
+    words = hand_map.described(taxels, result.pool.hand)
     for number, (point, where) in enumerate(zip(taxels.points, words, strict=True), 1):
         place = ", ".join(f"{1e3 * value:.1f}" for value in point.position)
         table.add_row(str(number), where, point.link, place, f"{1e3 * point.radius:g}")

@@ -12,20 +12,17 @@ from ..envs import validation
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
 from ..scripted import gate
-from ..terminal import flags
 from ..terminal.console import Progress, console
 from .scene import layout_notes, read_scene, require_grasp, sensor_notes, warn
 
 ABOUT = """\
 Can touch make a difference in a scene? Compares scripted hands that feel, see, or do neither,
-before any training. With several values of --layout or --taxel-threshold, it plays the hand that
-feels with each. Holds are judged by the fast test unless --hold-verdict says otherwise.
+before any training. Holds are judged by the fast test unless --hold-verdict says otherwise.
 
 examples:
   tactilerl gate --scene handover
   tactilerl gate --scene handover --starts 50 --search 5
-  tactilerl gate --scene handover_anywhere --layout 1 3 my_layout.toml
-  tactilerl gate --scene handover --taxel-threshold 0 0.1 0.3"""
+  tactilerl gate --scene handover --layout my_layout.toml --taxel-threshold 0.3"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,29 +45,23 @@ class GateFlags:
 
 def main(args: list[str]) -> int:
     """Run `tactilerl gate --scene handover`."""
-    layout_names, args = flags.several(args, "--layout")
-    thresholds, args = flags.several(args, "--taxel-threshold", float)
     read, scene = read_scene(
         GateFlags, args, "tactilerl gate", ABOUT, hold_verdict="settled"
     )
     with input_errors():
         if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate compares with no touch")
-        variants = [
-            dataclasses.replace(scene, layout=layout, taxel_threshold=force)
-            for layout in layout_names or [scene.layout]
-            for force in thresholds or [scene.taxel_threshold]
-        ]
-        for variant in variants:
-            validation.validate(variant)
-            layout_notes(read.env, variant.layout)  # raises what is wrong with it
+        validation.validate(scene)
+        layout_notes(read.env, scene.layout)  # raises what is wrong with it
         require_grasp(read.env, scene)
-        warn([note for one in variants for note in sensor_notes(read.env, one)])
-    total = gate.n_compared(variants, read.starts, read.search)
-    tick = Progress(f"playing scripted hands, {total} episodes", total)
-    played = read.starts, read.search, read.seed, read.workers or free_cores(), tick
-    with input_errors():
-        results = gate.compare(read.env, variants, *played)
+        warn(sensor_notes(read.env, scene))
+        n_senses = len(gate.useful_senses(scene))
+        total = n_senses * gate.n_played(read.starts, read.search)
+        tick = Progress(f"playing scripted hands, {total} episodes", total)
+        searched = gate.numbers(read.seed, read.search, gate.SEARCH)
+        compared = gate.numbers(read.seed, read.starts)
+        workers = read.workers or free_cores()
+        results = gate.examine(read.env, scene, searched, compared, workers, tick)
     said = gate.sentences(scene, results)
     if read.json:
         rows = [dataclasses.asdict(result) for result in results]
@@ -79,8 +70,9 @@ def main(args: list[str]) -> int:
     table = Table("scripted hand", "switches when", "success", "95 % interval")
     for result in results:
         (low, high), (_, when) = result.interval, gate.SENSES[result.name]
-        name = ", ".join(filter(None, (result.name, gate.which(result, results))))
-        table.add_row(name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}")
+        table.add_row(
+            result.name, when, f"{result.rate:.2f}", f"{low:.2f} – {high:.2f}"
+        )
     console.print(table)
     for sentence in said:
         console.print(sentence)

@@ -14,7 +14,7 @@ from ..envs import hands
 from ..envs.grasp import setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
-from ..files import pasted, replacing, require_new, writable
+from ..files import pasted, replacing, require_new
 from ..pictures import render
 from ..terminal import flags
 from ..terminal.console import console
@@ -34,7 +34,7 @@ HEADER = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_h
 class HandFlags:
     """Flags of `tactilerl hand`."""
 
-    model: tyro.conf.Positional[str] = ""
+    model: tyro.conf.Positional[str]
     """Path of an MJCF or URDF file, or package:path in an installed package."""
     out: Path = Path("my_hand.toml")
     """The file to write. A picture of the hand is written beside it (extra: render)."""
@@ -50,16 +50,8 @@ def main(args: list[str]) -> int:
     """Run `tactilerl hand MODEL`; exit 1 when no grasp was found."""
     choices = flags.parse(HandFlags, args, "tactilerl hand", ABOUT)
     out, name = choices.out, str(choices.out)
-    if not choices.model:
-        raise InputError("MODEL: found none, expected the path of an MJCF or URDF file")
-    if out.suffix != hands.SUFFIX:
-        raise InputError(
-            f"--out: found {out.name!r}, allowed names that end in {hands.SUFFIX}"
-        )
-    require_new(out, choices.overwrite)
+    require_new(out, choices.overwrite, hands.SUFFIX)
     with input_errors():
-        with writable(out):
-            out.parent.mkdir(parents=True, exist_ok=True)
         _write(choices, {})
         if complaint := _servo_complaint(name):
             console.print(f"note: {complaint}: all joints get the library's servos")
@@ -99,7 +91,7 @@ def _write(choices: HandFlags, known: dict[str, Any]) -> None:
         path = Path(model).parent.resolve() / Path(model).name
         model = os.path.relpath(path, folder)
     known = {"palm": choices.palm, "drop": list(choices.drop), **known}
-    text = import_hand.describe(model, folder, known)
+    text = import_hand.Guess(model, folder, known).toml()
     with replacing(choices.out) as file:
         file.write((HEADER + text).encode())
     console.print(f"{choices.out}: guessed; correct it in the file:")

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from ..errors import InputError, extra, input_errors
 from ..files import pasted, require_new
-from ..study import batch, executors, grid, jobs, records
+from ..study import batch, grid, jobs, records
 from ..study.records import Record, StudyFiles
 from ..terminal import flags
 from ..terminal.console import Progress, about, console
@@ -31,16 +31,11 @@ class Run:
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
     """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or
-    numbers of the learner are one batch (extra: gpu); dask:ADDRESS of a scheduler; or slurm, pbs, lsf,
-    sge or htcondor (extra: cluster).
+    numbers of the learner are one batch (extra: gpu); or dask:ADDRESS, a scheduler of Dask (extra:
+    cluster).
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained side by side; default: one per core. On a GPU: batches; default: 6. With a batch
-    system: jobs to submit."""
-    walltime: str | None = None
-    """Time limit of a job of a batch system, as it wants it; default: dask-jobqueue's."""
-    memory: str | None = None
-    """Memory of a job of a batch system; default: dask-jobqueue's."""
+    """Runs trained side by side; default: one per core. On a GPU: batches; default: 6."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
@@ -67,8 +62,7 @@ class Run:
             for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
             runs = [run for one in batches for run in one.runs]
-        where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
-        with executors.start(*where) as pool:
+        with jobs.executor(self.on, self.jobs, self.ranks_per_run) as pool:
             files.create(study)
             if self.retry_failed:
                 for run in runs:

@@ -10,7 +10,7 @@ import gymnasium as gym
 from ..algos import mpi
 from ..envs import TOYS, hands
 from ..envs.validation import nearest
-from ..errors import InputError, input_errors
+from ..errors import input_errors
 from ..files import pasted
 from ..runs.config import RunConfig
 from ..runs.store import resolve
@@ -44,8 +44,6 @@ class TrainFlags(SceneFlag):
 def main(args: list[str]) -> int:
     """Run `tactilerl train`."""
     given = flags.peek(args, "algo", "env", "recipe", "scene", "resume", "out")
-    if given.pop("out") and given["resume"]:
-        raise InputError("out: found with --resume; a resumed run stays in its folder")
     if nearest(given["env"], hands.HANDS):  # its flags would all be unknown
         require_hand(given["env"], *TOYS, *gym.registry)
     usual = resolve(**given)

@@ -1,18 +1,20 @@
-"""The palmar side of a hand unrolled: a column a digit, fingertips up."""
+"""Say where taxels are on a hand: as places, in words, and drawn on the hand unrolled.
+
+Unrolled, its palmar side is a column a digit, fingertips up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..envs.hands import DIGITS, Hand
-from ..envs.layouts import Taxels
+from ..envs.hands import DIGITS, Hand, Surface
+from ..envs.hands.geometry import placed, posed
+from ..envs.layouts import Taxels, mm
 from ..envs.state import Array
-from . import places
-from .places import Place
 
 Box = tuple[float, float, float, float]
 # All mm.
@@ -24,6 +26,79 @@ LETTER_WIDTH = 0.55 * LETTERS  # of a letter on the mean
 ROUND = 0.4  # radius of a panel's corners, of half its width
 PAPER, PHALANX, TAXEL = (255, 255, 255), (224, 224, 224), (70, 90, 160)
 LIT, LETTER = (255, 200, 0), (20, 20, 20)
+FINGERS = {name: f"{name} finger" for name in ("index", "middle", "ring", "little")}
+SEGMENTS = {
+    "proximal": "base segment",
+    "middle": "middle segment",
+    "distal": "tip",
+}
+
+
+# -- places and words -----------------------------------------------------------------------
+
+
+class Place(NamedTuple):
+    """A taxel's place on a hand. Lengths in mm, for these are the figures of a layout file."""
+
+    surface: int
+    """Index in the hand's surfaces."""
+    row: float
+    column: float
+    radius: float
+    height: float
+    """Height of a taxel that is given as a point, over the middle of the surface's grid."""
+
+
+def places(taxels: Taxels) -> list[Place]:
+    """Return where the taxels are, in their order."""
+    figures = zip(taxels.surfaces.tolist(), taxels.offsets, taxels.radii, strict=True)
+    return [
+        Place(index, mm(row), mm(column), mm(radius), mm(height))
+        for index, (row, column, height), radius in figures
+    ]
+
+
+def at_start(hand: Hand) -> Any:
+    """Return MuJoCo's data of the hand alone, as it is at the start."""
+    angles = zip(hand.joints, hand.start_positions(), strict=True)
+    return posed(hand.build().compile(), dict(angles))
+
+
+def described(taxels: Taxels, hand: Hand) -> list[str]:
+    """Return where the taxels are in the words of a workshop, from the middle of their segments."""
+    data = at_start(hand)
+    digits = [surface for surface in hand.surfaces if surface.segment != "palm"]
+    aims = {
+        "thumb": [surface for surface in digits if surface.digit == "thumb"][-1:],
+        "fingers": [surface for surface in digits if surface.digit != "thumb"][:1],
+    }
+
+    def side(surface: Surface, column: float) -> str:
+        """Tell on which side of a surface a column is."""
+        name = "fingers" if surface.digit == "thumb" else "thumb"
+        middle = placed(data, surface.link, surface.centre)
+        across = placed(data, surface.link, surface.centre + surface.across) - middle
+        for aim in aims[name]:
+            ahead = (placed(data, aim.link, aim.centre) - middle) @ across
+            return f"{'towards' if column * ahead > 0 else 'away from'} the {name}"
+        return "to the right" if column > 0 else "to the left"
+
+    words = []
+    for place in places(taxels):
+        surface, row, column = hand.surfaces[place.surface], place.row, place.column
+        digit, ends = FINGERS.get(surface.digit, surface.digit), ("tip", "palm")
+        parts = [digit, SEGMENTS.get(surface.segment, surface.segment)]
+        if surface.segment == "palm":
+            parts, ends = ["palm", f"under the {digit}"], ("fingers", "wrist")
+        if row:
+            parts.append(f"{abs(row):.3g} mm towards the {ends[row < 0]}")
+        if column:
+            parts.append(f"{abs(column):.3g} mm {side(surface, column)}")
+        words.append(", ".join(parts if row or column else [*parts, "in the middle"]))
+    return words
+
+
+# -- the map ---------------------------------------------------------------------------------
 
 
 class Panel(NamedTuple):
@@ -134,20 +209,15 @@ class TaxelMap:
             at = self._pixels(x, y, x, y)[:2]
             draw.text(at, text, LETTER, font_size=size, anchor="ms")
         self._discs = []
-        for place in places.of(taxels):
+        for place in places(taxels):
             (x, y), r = drawn.point(place), place.radius
             self._discs.append(self._pixels(x - r, y - r, x + r, y + r))
 
-    def _pixels(self, *box: float) -> Box:
-        """Return the left, upper, right and lower edge in pixels of a box on the map, mm."""
-        left, top, scale = self._left, self._top, self._scale
-        x0, y0, x1, y1 = box
-        return (
-            scale * (x0 - left),
-            scale * (top - y1),
-            scale * (x1 - left),
-            scale * (top - y0),
-        )
+    def _pixels(self, x0: float, y0: float, x1: float, y1: float) -> Any:
+        """Return the left, upper, right and lower edge (4,) in pixels of a box on the map, mm."""
+        left, top = self._left, self._top
+        edges = np.array([x0 - left, top - y1, x1 - left, top - y0])
+        return (self._scale * edges).tolist()
 
     def picture(self, lit: Iterable[bool]) -> Array:
         """Return an RGB picture (height, width, 3) uint8; taxels `lit`, bool (n,), lie on top."""

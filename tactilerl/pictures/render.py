@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -95,41 +95,22 @@ class _Artist:
         return np.hstack([image, self._map.picture(felt > 0)])
 
 
-def staged(
-    run: Path, hold_seconds: float | None, render_mode: str
-) -> tuple[GraspEnv, Callable[[int], bool]]:
-    """Return a run's scene, and a function that plays its policy there and returns its success.
-
-    The scene has hold tests of `hold_seconds`, or its own; the function takes the number of a start.
-    Raise InputError where the run is not of a grasping scene.
-    """
-    import torch
-
-    from ..runs import evaluation, policies
-
-    config, policy, *_ = policies.read_run(run)
-    if config.scene is None:
-        raise InputError(
-            f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
-        )
-    if hold_seconds is not None:
-        scene = replace(config.scene, hold_seconds=hold_seconds)
-        config = replace(config, scene=scene)
-    env: GraspEnv = config.make_env(render_mode=render_mode)
-    task = evaluation.task(policy)
-
-    def play(number: int) -> bool:
-        torch.set_num_threads(1)  # as trained, to the last digit
-        return bool(task(env, number, lambda: True).success == 1.0)
-
-    return env, play
-
-
 class _Player:
     """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
     def __init__(self, run: Path, hold_seconds: float | None, camera: Camera) -> None:
-        self.env, self._play = staged(run, hold_seconds, "rgb_array")
+        from ..runs import evaluation, policies  # import PyTorch
+
+        config, policy, *_ = policies.read_run(run)
+        if config.scene is None:
+            raise InputError(
+                f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
+            )
+        if hold_seconds is not None:
+            scene = replace(config.scene, hold_seconds=hold_seconds)
+            config = replace(config, scene=scene)
+        self.env = config.make_env(render_mode="rgb_array")
+        self._task = evaluation.task(policy)
         timestep = self.env.config.timestep
         self._every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (self._every * timestep)
@@ -141,8 +122,11 @@ class _Player:
 
     def film(self, number: int) -> tuple[list[Array], bool]:
         """Return an episode's pictures, and whether it succeeds."""
+        import torch
+
+        torch.set_num_threads(1)  # as trained, to the last digit
         self._number, self._pictures = number, []
-        success = self._play(number)
+        success = self._task(self.env, number, lambda: True).success == 1.0
         self._show(*(("success", GREEN) if success else ("failure", RED)))
         return self._pictures + self._pictures[-1:] * END_PICTURES, success
 

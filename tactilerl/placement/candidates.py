@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,27 +16,19 @@ from ..envs import hands, layouts, scenes, sensors, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand, Surface
 from ..envs.hands.geometry import placed
-from ..envs.layouts import Taxels
+from ..envs.layouts import Layout, Patch, Taxels
 from ..envs.observations import TaxelFaults
 from ..envs.sensors import Cost
 from ..envs.state import Array
 from ..envs.validation import Newtons, require_known
 from ..machine import WorkerCount
-from ..pictures import places
+from ..pictures import hand_map
 
+Spacing = Annotated[float, "[0.5, 50]"]
+"""Distance of the taxels of a dense skin, mm."""
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
 """Fields of a scene whose recording serves all its taxels, whichever of them there are."""
-
-
-class Kind(NamedTuple):
-    """A kind of sensor, as far as a design takes it into account; what is None nobody said."""
-
-    name: str | None
-    radius: float | None
-    threshold: float | None
-    delay: float
-    cost: Cost | None
 
 
 @dataclass(frozen=True)
@@ -48,8 +41,7 @@ class DesignFlags:
     env: str = ""
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
     sensor: str = ""
-    """A sensor, by name or .toml file: its radius, threshold, delay and price. With several, each has a
-    table of its own, on the same starts."""
+    """A sensor, by name or .toml file: its radius, threshold, delay and price."""
     budget: Annotated[float, "(0, inf)"] | None = None
     """Money for taxels and boards, in the currency of the sensor's [cost]; the table also shows what
     smaller sums buy."""
@@ -67,13 +59,10 @@ class DesignFlags:
     """Smallest distance of a taxel from each edge of its segment, mm, so that a housing fits."""
     only: tuple[str, ...] = ()
     """Only on these segments, digits, or segments of digits, such as palm distal index.middle."""
-    leave_out: tuple[str, ...] = ()
-    """Not on these, named as for --only."""
     keep: str = ""
     """A layout whose taxels the hand already has; the chosen ones are added to them."""
     taxel_threshold: Newtons | None = None
-    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or any touch. With
-    several, there is a table for each."""
+    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or any touch."""
     survives: str = ""
     """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
     file with a [[group]] for each."""
@@ -91,25 +80,15 @@ class DesignFlags:
     workers: WorkerCount = None
     """Starts played side by side; default: one per free core. Results do not depend on it."""
 
-    def kind(self, scene: GraspConfig) -> Kind:
-        """Return the sensor: what a flag says counts, then its file, then the scene."""
-        file = sensors.load(self.sensor) if self.sensor else None
-        known: dict[str, Any] = {
-            "taxel_threshold": scene.taxel_threshold,
-            "taxel_delay": scene.taxel_delay * scene.control_dt,
-            **(file.numbers if file else {}),
+    @property
+    def choices(self) -> dict[str, Any]:
+        """The fields of the scenes that these flags choose: which sensor their taxels are."""
+        said = {
+            "sensor": self.sensor or None,
+            "taxel_radius": self.radius and 1e-3 * self.radius,
+            "taxel_threshold": self.taxel_threshold,
         }
-        if self.radius is not None:
-            known["taxel_radius"] = 1e-3 * self.radius
-        if self.taxel_threshold is not None:
-            known["taxel_threshold"] = self.taxel_threshold
-        return Kind(
-            name=file.name if file else None,
-            radius=known.get("taxel_radius"),
-            threshold=known["taxel_threshold"],
-            delay=known["taxel_delay"],
-            cost=file.cost if file else None,
-        )
+        return {name: value for name, value in said.items() if value is not None}
 
     @property
     def numbers(self) -> range:
@@ -131,7 +110,10 @@ class DesignFlags:
 
 
 def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
-    """Return the hand and its scenes by name; ValueError where a design cannot be made in one."""
+    """Return the hand and its scenes by name, with the sensor that may be bought.
+
+    Raise ValueError where a design cannot be made in one.
+    """
     env, configs = flags.env or scenes.load(flags.scene[0]).env, {}
     for name in flags.scene:
         config = setup(env, **scenes.load(name).on(env))
@@ -147,7 +129,7 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
                 f"scene: found {name}, where touch is off or taxels fail at random, which no recording "
                 "can know; --survives designs for the worst loss"
             )
-        configs[name] = config
+        configs[name] = sensors.choose(config, flags.choices)
     return env, configs
 
 
@@ -157,13 +139,9 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     names = [
         {*_names(surface), *({surface.digit} - segments)} for surface in hand.surfaces
     ]
-    require_known((*flags.only, *flags.leave_out), set().union(*names))
-    is_allowed = [
-        (not flags.only or not answers.isdisjoint(flags.only))
-        and answers.isdisjoint(flags.leave_out)
-        for answers in names
-    ]
-    taxels, margin = places.skin(flags.skin, hand), 1e-3 * flags.margin
+    require_known(flags.only, set().union(*names))
+    is_allowed = [not flags.only or bool(each & {*flags.only}) for each in names]
+    taxels, margin = skin(flags.skin, hand), 1e-3 * flags.margin
     spots = zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
     allowed = [
         i
@@ -172,9 +150,51 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
         and (not margin or has_margin(hand.surfaces[index], row, column, margin))
     ]
     if not allowed:
-        where = "that --only, --not and --margin allow"
+        where = "that --only and --margin allow"
         raise ValueError(f"skin: found no place of {flags.skin} {where}")
     return taxels.take(allowed)
+
+
+def skin(name: str, hand: Hand) -> Taxels:
+    """Return a layout's taxels, or those of a dense skin such as "2mm".
+
+    That is a grid over the palmar side of the whole hand, with every segment and a flat palm around the
+    bases of the fingers; its taxels have the radius of the hand's own. Raise ValueError and
+    FileNotFoundError where there is none.
+    """
+    if "\n" in name or not name.endswith("mm"):
+        return layouts.load(name).place(hand)
+    try:
+        spacing = validation.require_type(float(name[:-2]), Spacing, "skin")
+    except ValueError:
+        raise ValueError(
+            f"skin: found {name!r}, allowed a layout, or a spacing from 0.5mm to 50mm"
+        ) from None
+    patches, radius = [], hand.pitch.radius
+    for surface in hand.surfaces:
+        offsets = tuple(_grid(surface, 1e-3 * spacing, radius))
+        names = (surface.digit,), (surface.segment,)
+        patches.append(Patch(*names, offsets, 1e3 * radius))
+    return Layout(name, "", tuple(patches)).place(hand)
+
+
+def _grid(
+    surface: Surface, spacing: float, radius: float
+) -> Iterator[tuple[float, float]]:
+    """Yield (row, column) in mm of as many as the surface carries, through its middle.
+
+    `spacing` and `radius` are in m. The tip of a capsule is round and its taxels stand as on a
+    cylinder: rows go on over the tip as long as a taxel still reaches the skin under it.
+    """
+    begin, end, half_width = surface.span
+    if surface.segment == "distal" and surface.bone is not None:
+        end += np.sqrt((half_width + radius) ** 2 - half_width**2)
+    rows = np.arange(np.ceil(begin / spacing), np.floor(end / spacing) + 1) * spacing
+    beside = np.floor(half_width / spacing)
+    columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
+    for row, column in product(rows.tolist(), columns.tolist()):
+        if not surface.is_gap(row, column):
+            yield 1e3 * row, 1e3 * column
 
 
 def _names(surface: Surface) -> set[str]:
@@ -217,7 +237,7 @@ def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
 
 def overlap(hand: Hand, taxels: Taxels) -> Array:
     """Return which two sensors do not fit beside each other on the open hand, bool (n, n)."""
-    data = places.at_start(hand)
+    data = hand_map.at_start(hand)
     points = np.array([placed(data, p.link, p.position) for p in taxels.points])
     least = np.add.outer(taxels.radii, taxels.radii) - TOUCHING
     return np.asarray(cdist(points, points) < least)
@@ -339,13 +359,12 @@ class Prices:
         return [size for size in sizes if self._price(*size) <= budget]
 
 
-def priced(
-    flags: DesignFlags, cost: Cost | None, hand: Hand, skin: Taxels, free: Array
-) -> Prices | None:
+def priced(flags: DesignFlags, hand: Hand, skin: Taxels, free: Array) -> Prices | None:
     """Return what taxels cost; None where nobody says it.
 
     Raise ValueError for a budget then, and for one that may be chosen and that no board serves.
     """
+    cost = sensors.load(flags.sensor).cost if flags.sensor else None
     if cost is None:
         for flag in ("budget", "boards"):
             if value := getattr(flags, flag):
@@ -373,8 +392,6 @@ class Pool:
     env: str
     scenes: dict[str, GraspConfig]
     hand: Hand
-    sensor: Kind
-    """The sensor that may be bought."""
     skin: Taxels
     """First those that the hand has already, then candidates, then layouts to compare with."""
     existing: list[int]
@@ -397,12 +414,12 @@ class Pool:
         flags.validate()
         env, scenes = scenes_of(flags)
         hand = hands.get(env)
-        sensor = flags.kind(next(iter(scenes.values())))
-        fit = fitted(candidates(flags, hand), radius=sensor.radius)
+        first = next(iter(scenes.values()))
+        fit = fitted(candidates(flags, hand), radius=first.taxel_radius)
         there = layouts.load(flags.keep).place(hand) if flags.keep else fit.take([])
         named = [layouts.load(name).place(hand) for name in flags.beside]
         skin, (existing, chosen_from, *beside) = joined([there, fit, *named])
-        skin = fitted(skin, threshold_N=sensor.threshold)
+        skin = fitted(skin, threshold_N=first.taxel_threshold)
         # Whatever its size, no taxel is chosen where there is one.
         spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
         taken = {spots[index] for index in existing}
@@ -413,14 +430,13 @@ class Pool:
             env=env,
             scenes=scenes,
             hand=hand,
-            sensor=sensor,
             skin=skin,
             existing=existing,
             free=free,
             references=dict(zip(flags.beside, beside, strict=True)),
             losses=groups_of(flags.survives or "taxel", hand, skin, "survives"),
-            prices=priced(flags, sensor.cost, hand, skin, free),
-            overlap=None if sensor.radius is None else overlap(hand, skin.take(own)),
+            prices=priced(flags, hand, skin, free),
+            overlap=overlap(hand, skin.take(own)) if first.taxel_radius else None,
         )
         most = pool.sizes()[-1][0]
         if flags.budget is None and most > free.sum():
@@ -429,10 +445,14 @@ class Pool:
         return pool
 
     @property
+    def first(self) -> GraspConfig:
+        """The first scene: its sensor is that of all."""
+        return next(iter(self.scenes.values()))
+
+    @property
     def waits(self) -> tuple[float, ...]:
         """Ways to wait: shares by which the hand is closed."""
-        first = next(iter(self.scenes.values()))
-        return self.flags.start_closing or (first.start_closing,)
+        return self.flags.start_closing or (self.first.start_closing,)
 
     @property
     def to_survive(self) -> Array:

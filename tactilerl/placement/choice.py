@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from .. import statistics
 from ..envs import layouts, validation
 from ..envs.grasp import GraspConfig
 from ..envs.layouts import Layout
-from ..pictures import places
+from ..pictures import hand_map
 from ..scripted import gate
 from . import cover
 from .candidates import DesignFlags, Pool
@@ -162,13 +162,6 @@ class Design:
         return self.judge.pool
 
     @property
-    def at(self) -> str:
-        """Sensor and threshold, as a part of a sentence."""
-        name, _, threshold, *_ = self.pool.sensor
-        with_sensor = f" with {name}" if name else ""
-        return with_sensor + ("" if threshold is None else f" at {threshold:g} N")
-
-    @property
     def best(self) -> list[int]:
         """The largest set, or the dearest."""
         return self.chosen[max(self.chosen)]
@@ -179,7 +172,12 @@ class Design:
         chosen = [row for row in self.rows if row.layout == "chosen"]
         paying = [row for row in chosen if gate.pays(row.success, blind)]
         row = paying[0] if paying else max(chosen, key=lambda row: row.success)
-        verdict = f"Touch {'pays' if paying else 'does not pay'}{self.at}"
+        sensor, threshold = self.pool.flags.sensor, self.pool.first.taxel_threshold
+        verdict = f"Touch {'pays' if paying else 'does not pay'}"
+        if sensor:
+            verdict += f" with {layouts.short(sensor)}"
+        if threshold is not None:
+            verdict += f" at {threshold:g} N"
         if paying and len(chosen) > 1:
             verdict += f" from {_taxels(row.taxels, row.price)} on"
         said = [
@@ -209,15 +207,14 @@ class Design:
         pool, names = self.pool, validation.names(DesignFlags) - {"workers"}
         return {
             "env": pool.env,
-            "sensor": pool.sensor.name,
-            "threshold": pool.sensor.threshold,
+            "threshold": pool.first.taxel_threshold,
             "asking": {name: getattr(pool.flags, name) for name in sorted(names)},
             "candidates": int(pool.free.sum()),
             "rows": [asdict(row) for row in self.rows],
             "verdict": " ".join(self.sentences()),
             "places": {
                 f"{key:g}": [
-                    place._asdict() for place in places.of(pool.skin.take(taxels))
+                    place._asdict() for place in hand_map.places(pool.skin.take(taxels))
                 ]
                 for key, taxels in self.chosen.items()
             },
@@ -241,10 +238,7 @@ def design(pool: Pool, workers: int, tick: Tick = lambda: None) -> Design:
     early = np.any([starts.early for starts in choice.values()], axis=0)
     pool = pool.without(early)
     wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.whole))
-    searched, _ = gate.numbers(flags.seed, 0, _search(flags))
-    compared = _numbers(flags, TEST, flags.test_starts)
-    scenes = tuple(_waiting(pool, wait))
-    blind, blind_hand = _blind(pool.env, scenes, searched, compared, workers, tick)
+    blind, blind_hand = _blind(pool, wait, workers, tick)
     test = _played(pool, TEST, flags.test_starts, workers, tick)
     return judged(Judge(pool, choice, test), blind, blind_hand, wait)
 
@@ -283,25 +277,19 @@ def n_played(pool: Pool) -> int:
     return len(flags.scene) * (n_starts + n_blind)
 
 
-@cache  # designs with several sensors have the same
-def _blind(
-    env: str,
-    scenes: Sequence[GraspConfig],
-    searched: range,
-    compared: range,
-    workers: int,
-    tick: Tick,
-) -> tuple[float, str]:
+def _blind(pool: Pool, wait: float, workers: int, tick: Tick) -> tuple[float, str]:
     """Return the success of the best scripted hand without touch, and which it is.
 
     It is chosen in the starts from which the gate chooses it, and judged where taxels are.
     The success is the mean over scenes, each with the hand that is best there.
     """
+    flags = pool.flags
+    searched = gate.numbers(flags.seed, _search(flags), gate.SEARCH)
+    compared = gate.numbers(flags.seed, flags.test_starts, TEST)
+    played = searched, compared, workers, tick, gate.BLIND
     found = [
-        gate.without_touch(
-            gate.examine(env, scene, searched, compared, workers, tick, gate.BLIND)
-        )
-        for scene in scenes
+        gate.without_touch(gate.examine(pool.env, scene, *played))
+        for scene in _waiting(pool, wait)
     ]
     rate = sum(hand.rate for hand in found) / len(found)
     return rate, ", ".join(dict.fromkeys(hand.name for hand in found))
@@ -312,21 +300,13 @@ def _search(flags: DesignFlags) -> int:
     return max(1, flags.starts // 10)
 
 
-def _numbers(flags: DesignFlags, first: int, n: int) -> range:
-    """Return the numbers of `n` starts, of those that begin with `first`."""
-    first += 2 * gate.SEARCH * flags.seed
-    return range(first, first + n)
-
-
 def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
     """Play `n` starts of each scene with the whole skin, for each way to wait."""
-    numbers, played = _numbers(pool.flags, first, n), ByWait()
-    for wait in pool.waits:
-        scenes, delay = _waiting(pool, wait), pool.sensor.delay
-        played[wait] = record(
-            pool.env, scenes, pool.skin, delay, numbers, workers, tick
-        )
-    return played
+    numbers = gate.numbers(pool.flags.seed, n, first)
+    return {
+        wait: record(pool.env, _waiting(pool, wait), pool.skin, numbers, workers, tick)
+        for wait in pool.waits
+    }
 
 
 def _waiting(pool: Pool, wait: float) -> list[GraspConfig]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..envs import layouts
-from ..pictures import places
+from ..pictures import hand_map
 from ..pictures.hand_map import LETTERS, Unrolled
 from ..style import NAMES
 from .choice import Design
@@ -31,11 +31,11 @@ def page(design: Design) -> bytes:
 def _data(design: Design) -> dict[str, Any]:
     """Return what the page has to know, which design.html reads."""
     pool, hand, taxels = design.pool, design.pool.hand, design.pool.skin
-    drawn, simulator = Unrolled(hand), next(iter(pool.scenes.values())).simulator
+    drawn, simulator = Unrolled(hand), pool.first.simulator
     hand_name = NAMES.get(pool.env, Path(pool.env).stem)
     candidates = pool.whole
-    words, dots = places.described(taxels, hand), []
-    for index, place in enumerate(places.of(taxels)):
+    words, dots = hand_map.described(taxels, hand), []
+    for index, place in enumerate(hand_map.places(taxels)):
         x, y = drawn.point(place)
         layout = layouts.of_taxels(taxels.take([index]), hand, "")
         dots.append(
@@ -75,7 +75,11 @@ def _data(design: Design) -> dict[str, Any]:
         "rows": [asdict(row) for row in design.rows],
         "verdict": design.sentences(),
         "kept": pool.existing,
-        "sensor": pool.sensor._replace(cost=None)._asdict(),
+        "sensor": {
+            "name": layouts.short(pool.flags.sensor),
+            "radius": pool.first.taxel_radius,
+            "threshold": pool.first.taxel_threshold,
+        },
         "cost": asdict(pool.prices.cost) if pool.prices else None,
         "budget": pool.flags.budget,
         "sets": list(design.chosen.items()),

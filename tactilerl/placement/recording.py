@@ -44,20 +44,19 @@ def record(
     hand: str,
     scenes: Sequence[GraspConfig],
     taxels: Taxels,
-    delay: float,
     numbers: Sequence[int],
     workers: int,
     tick: Callable[[], None] = lambda: None,
 ) -> Starts:
     """Play the starts that the seeds `numbers` draw in each scene.
 
-    Taxels are read `delay` s late. `tick` is called after every start.
+    `tick` is called after every start.
     """
     blind = {**NO_TOUCH, "history": 1}
     rows: list[Any] = []
     for scene in scenes:
         make = partial(SkinnedEnv, hand, sensors.choose(scene, blind), taxels)
-        play = partial(_play, late=round(delay / scene.control_dt))
+        play = partial(_play, late=scene.taxel_delay)
         with closing(vector.start(make, workers)) as played_in:
             for row in played_in.play(play, numbers):
                 rows.append(row)

@@ -346,11 +346,12 @@ def resolve(
     recipe: str | None = None,
     scene: str | None = None,
     resume: str | Path | None = None,
+    out: str | Path | None = None,
 ) -> RunConfig:
     """Return the configuration before other choices: defaults, or that of the run in `resume`.
 
-    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene or
-    a recipe is named as well.
+    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene, a
+    recipe or another folder is named as well.
     """
     module, colon, _ = str(env).partition(":")
     if colon:
@@ -358,9 +359,9 @@ def resolve(
             plugins.import_modules([module])
     if not resume:
         return defaults(algo, env, recipe, scene)
-    for name, value in {"scene": scene, "recipe": recipe}.items():
+    for name, value in {"scene": scene, "recipe": recipe, "out": out}.items():
         if value:
             raise InputError(
-                f"{name}: found with resume; a resumed run keeps its settings"
+                f"{name}: found with resume; a resumed run keeps its settings and its folder"
             )
     return RunDir(Path(resume)).read_config()

@@ -24,7 +24,7 @@ from ..machine import free_cores
 from ..terminal.console import paragraph
 from ..terminal.epochs import EpochLog, require_tensorboard
 from . import evaluation
-from .config import FINAL_TEST, RunConfig, RunOptions
+from .config import FINAL_TEST, RunConfig
 from .store import Checkpoint, RunDir
 
 Row = dict[str, Any]
@@ -35,20 +35,19 @@ def make_algorithm(
     config: RunConfig, comm: Communicator
 ) -> tuple[Learner, vector.Workers]:
     """Return the learner and its workers; InputError when they do not go together."""
-    run = config.run
     with input_errors():
         config.validate()
-        start = partial(start_workers, config, comm, run.workers)
-        return start_learner(run, config.learner, start, comm)
+        start = partial(start_workers, config, comm, config.run.workers)
+        return start_learner(config, start, comm)
 
 
 def start_learner(
-    run: RunOptions,
-    hyperparameters: Any,
+    config: RunConfig,
     start: Callable[[], vector.Workers],
     comm: Communicator,
 ) -> tuple[Learner, vector.Workers]:
     """Return a learner and the workers of `start`; ValueError when they do not go together."""
+    run = config.run
     _, algorithm = algos.get(run.algo)
     _require_device(run.device)
     with ExitStack() as started:
@@ -56,7 +55,7 @@ def start_learner(
         # A toy is played on one core and learned from on two.
         cores = run.workers or free_cores(comm.local_size)
         options = comm, run.seed, run.total_timesteps, run.device, cores
-        learner = algorithm(hyperparameters, workers, *options)
+        learner = algorithm(config.learner, workers, *options)
         started.pop_all()
     return learner, workers
 

@@ -13,7 +13,8 @@ from ..envs import sensors, tasks, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from . import reflexes
 
-SEARCH = 1_000_000  # starts of the search are not those of the comparison
+COMPARISON, SEARCH = 0, 1_000_000
+"""Numbers of the first starts to compare in and to search in, with seed 0; `design` has others."""
 MIN_GAIN = (
     0.3  # difference of success rates from which touch, or a scene, says anything
 )
@@ -40,10 +41,6 @@ class HandResult:
 
     name: str
     """One of SENSES."""
-    layout: str
-    """The hand's taxels."""
-    taxel_threshold: float | None
-    """Force from which they fire, N; None for any touch."""
     reflex: reflexes.Reflex
     rate: float
     """Share of the starts in which it succeeds."""
@@ -63,10 +60,10 @@ def useful_senses(scene: GraspConfig) -> list[str]:
     return [name for name in SENSES if name not in useless]
 
 
-def numbers(seed: int, starts: int, search: int) -> tuple[range, range]:
-    """Return the numbers of the starts to search in, and of those to compare in."""
-    first = 2 * SEARCH * seed
-    return range(first + SEARCH, first + SEARCH + search), range(first, first + starts)
+def numbers(seed: int, n: int, first: int = COMPARISON) -> range:
+    """Return the numbers of `n` starts, of those that begin with `first`."""
+    first += 2 * SEARCH * seed
+    return range(first, first + n)
 
 
 def examine(
@@ -108,8 +105,7 @@ def examine(
             n_won = _n_won(played_in, best, compared, tick)
         n = len(compared)
         interval = statistics.wilson_interval(n_won, n)
-        taxels = scene.layout, scene.taxel_threshold
-        results.append(HandResult(name, *taxels, best, n_won / n, interval, n))
+        results.append(HandResult(name, best, n_won / n, interval, n))
     return results
 
 
@@ -151,68 +147,26 @@ def few(starts: int) -> list[str]:
     return [f"Few starts were judged ({starts}): {told}; play {ENOUGH} or more."]
 
 
-def compare(
-    hand: str,
-    variants: Sequence[GraspConfig],
-    starts: int,
-    search: int,
-    seed: int,
-    workers: int,
-    tick: Callable[[], None] = lambda: None,
-) -> list[HandResult]:
-    """Play all scripted hands in the first variant of a scene, and the one that feels in each.
-
-    `tick` is called after every one of the `n_compared` episodes.
-    """
-    senses, results = tuple(SENSES), list[HandResult]()
-    for variant in variants:
-        played = *numbers(seed, starts, search), workers, tick, senses
-        results += examine(hand, variant, *played)
-        senses = ("touch",)
-    return sorted(results, key=lambda one: [*SENSES].index(one.name))
-
-
-def n_compared(variants: Sequence[GraspConfig], starts: int, search: int) -> int:
-    """Return the number of episodes that `compare` plays."""
-    n_senses = len(useful_senses(variants[0])) + len(variants) - 1
-    return n_senses * n_played(starts, search)
-
-
-def which(result: HandResult, results: Sequence[HandResult]) -> str:
-    """Return what tells a hand that feels from the others: layout and threshold, or nothing."""
-    parts = []
-    if len({one.layout for one in results}) > 1:
-        parts.append(f"layout {result.layout}")
-    if len({one.taxel_threshold for one in results}) > 1:
-        parts.append(f"{result.taxel_threshold:g} N")
-    return ", ".join(parts) if result.name == "touch" else ""
-
-
 def sentences(scene: GraspConfig, results: Sequence[HandResult]) -> list[str]:
-    """Say what touch can win with each layout and threshold, and where it does not, what to try."""
-    blind, touching = without_touch(results), [r for r in results if r.name == "touch"]
-    sighted = next(one.rate for one in results if one.name == "sighted")
-    room, said = sighted - blind.rate, list[str]()
+    """Say what touch can win, and where it does not, what to try."""
+    rates = {one.name: one.rate for one in results}
+    blind, touch, sighted = without_touch(results), rates["touch"], rates["sighted"]
     if not pays(sighted, blind.rate):
         return [
             f"This scene cannot tell: the best scripted hand without touch ({blind.name}) succeeds "
             f"in {blind.rate:.2f} of its starts, the sighted one in {sighted:.2f}.",
             *few(blind.episodes),
         ]
-    for one in touching:
-        told = which(one, results)
-        where = f" ({told})" if told else ""
-        gained = min(max(0.0, one.rate - blind.rate), room)
-        verdict = "pays" if pays(one.rate, blind.rate) else "does not pay"
-        said.append(
-            f"Touch {verdict}{where}: it closes {gained:.2f} of the "
-            f"{room:.2f} gap between the best scripted hand without touch ({blind.name}, "
-            f"{blind.rate:.2f}) and the sighted one ({sighted:.2f})."
-        )
-    said += few(blind.episodes)
-    best = max(touching, key=lambda one: one.rate)
-    if not pays(best.rate, blind.rate):
-        said.append(_what_to_try(scene, best.taxel_threshold))
+    room, is_worth_it = sighted - blind.rate, pays(touch, blind.rate)
+    gained = min(max(0.0, touch - blind.rate), room)
+    said = [
+        f"Touch {'pays' if is_worth_it else 'does not pay'}: it closes {gained:.2f} of the "
+        f"{room:.2f} gap between the best scripted hand without touch ({blind.name}, "
+        f"{blind.rate:.2f}) and the sighted one ({sighted:.2f}).",
+        *few(blind.episodes),
+    ]
+    if not is_worth_it:
+        said.append(_what_to_try(scene))
     if sighted < USABLE:
         said.append(
             "Even with sight the hand often fails: improve the hand or the scene before you train."
@@ -220,11 +174,13 @@ def sentences(scene: GraspConfig, results: Sequence[HandResult]) -> list[str]:
     return said
 
 
-def _what_to_try(scene: GraspConfig, threshold: float | None) -> str:
+def _what_to_try(scene: GraspConfig) -> str:
     """Return one sentence for a scene in which touch could pay, and with these taxels does not."""
     if tasks.TASKS[scene.task].giver is None:
         return "Try other layouts (--layout)."
-    flag = "" if threshold is None else f" --taxel-threshold {threshold:g}"
+    flags = ""
+    if scene.taxel_threshold is not None:
+        flags += f" --taxel-threshold {scene.taxel_threshold:g}"
     if scene.sensor:
-        flag += f" --sensor {scene.sensor}"
-    return f"Try tactilerl design{flag}, which looks for places where it pays."
+        flags += f" --sensor {scene.sensor}"
+    return f"Try tactilerl design{flags}, which looks for places where it pays."

@@ -1,28 +1,39 @@
 """Train the runs of a study, each in a process of its own: a run that crashes stops no other.
 
 A job is "make this run done": it can be asked for twice, and by anybody who sees the study's folder.
-Where jobs run is the matter of an executor of `concurrent.futures`' kind.
+Threads here wait for the processes of their jobs, or workers of Dask's on other machines do.
 """
 
 from __future__ import annotations
 
+import asyncio
 import concurrent.futures
+import logging
 import os
 import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import filelock
 
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..envs import layouts, plugins
-from ..errors import BAD_INPUT, BUSY, InputError, input_errors
+from ..errors import (
+    BAD_INPUT,
+    BUSY,
+    InputError,
+    extra,
+    input_errors,
+    interrupts_in_order,
+)
+from ..machine import free_cores
 from ..runs.config import RunConfig
 from ..runs.store import RunDir
 from ..runs.training import make_algorithm
@@ -30,6 +41,8 @@ from .grid import Run
 from .records import StudyFiles
 
 ATTEMPTS = 2
+DASK = "dask:"
+SIDE_BY_SIDE = 6  # batches on a GPU: one alone waits for itself
 LOCK_WAIT = 0.5  # s; who only looks at a lock has it for an instant
 INTERRUPTED = 130, -signal.SIGINT, -signal.SIGTERM
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
@@ -104,6 +117,43 @@ def _try(run: Run, config: RunConfig) -> None:
         raise InputError(
             f"measure: found {run.measure}, but {config.run.algo} has no tests"
         )
+
+
+@contextmanager
+def executor(
+    on: str, jobs: int | None, ranks: int
+) -> Iterator[concurrent.futures.Executor]:
+    """Start the executor that `--on` names, for runs of so many processes (`ranks`) each.
+
+    Raises InputError where it is not known or cannot be reached, or for flags that are another's.
+    """
+    if not on.startswith(DASK) and on not in ("local", "gpu"):
+        raise InputError(f"--on: found {on!r}, allowed: local, gpu, dask:ADDRESS")
+    if on == "gpu" and ranks > 1:
+        raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
+    if on in ("local", "gpu"):
+        usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
+        pool = concurrent.futures.ThreadPoolExecutor(jobs or usual)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+        return
+    with extra("cluster"):
+        from dask.distributed import Client
+    connect: Any = Client  # which has no types
+    with input_errors(f"--on {on}"):
+        client = connect(on.removeprefix(DASK))
+    # It would log tracebacks of what is said below in one line.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    with client, interrupts_in_order():
+        try:
+            yield client.get_executor(pure=False)
+        except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
+            raise OSError(
+                f"--on {on}: Dask's scheduler has gone; runs keep their last epochs, and go on when "
+                "the study is run again"
+            ) from error
 
 
 def run_all(

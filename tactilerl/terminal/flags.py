@@ -73,36 +73,12 @@ def peek(args: Sequence[str], *names: str) -> dict[str, str]:
     Some decide which other flags there are, and their defaults. InputError where one has no
     value.
     """
-    parser = _parser()
-    for name in names:
-        parser.add_argument(f"--{name}", default="")
-    return vars(_known(parser, args)[0])
-
-
-def several(
-    args: Sequence[str], flag: str, kind: type[Any] = str
-) -> tuple[list[Any], list[str]]:
-    """Return the values of a flag that takes one elsewhere, and `args` with the first alone.
-
-    Raise InputError where it has none.
-    """
-    parser = _parser()
-    parser.add_argument(flag, nargs="+", default=[], dest="values", type=kind)
-    given, rest = _known(parser, args)
-    values = given.values
-    return values, [*rest, *([flag, str(values[0])] if values else [])]
-
-
-def _parser() -> argparse.ArgumentParser:
-    return argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         add_help=False, allow_abbrev=False, exit_on_error=False
     )
-
-
-def _known(
-    parser: argparse.ArgumentParser, args: Sequence[str]
-) -> tuple[argparse.Namespace, list[str]]:
+    for name in names:
+        parser.add_argument(f"--{name}", default="")
     try:
-        return parser.parse_known_args(args)
+        return vars(parser.parse_known_args(args)[0])
     except argparse.ArgumentError as error:
         raise InputError(f"{error.argument_name}: {error.message}") from None

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp")
 
 def guessed(model, name="hand.xml", **said):
     Path(name).write_text(model)
-    text = import_hand.describe(name, Path(), said)
+    text = import_hand.Guess(name, Path(), said).toml()
     Path("hand.toml").write_text(text)
     hands.get("hand.toml")
     return tomllib.loads(text)
@@ -196,6 +196,8 @@ def test_from_model_to_training(monkeypatch, capsys):
     for name, fewer in {"ROUNDS": (12, 6), "STARTS": 2, "OTHERS": 2, "GROUNDS": (0.004,)}.items():
         monkeypatch.setattr(grasp_search, name, fewer)
     Path("hand.xml").write_text(MODEL)
+    fails_with(capsys, ["hand", "hand.xml", "--out", "new/mine.toml"], "found no folder 'new'")
+    Path("new").mkdir()
     said = printed(capsys, ["hand", "hand.xml", "--out", "new/mine.toml"])
     assert "thumb = { links = [" in said
     assert "next: tactilerl design --env new/mine.toml --sensor fsr" in said

@@ -45,7 +45,6 @@ def test_env_and_gate_take_a_sensor(capsys):
     printed(capsys, ["env", "--env", "mpl", "--sensor", "fsr", "--touch-rule", "force"])
     gate = ["gate", "--scene", "handover", "--starts", "1", "--search", "1", "--workers", "1", "--json"]
     told = json.loads(printed(capsys, [*gate, "--sensor", "switch"]))
-    assert {row["taxel_threshold"] for row in told["reflexes"]} == {0.98}
     assert "Few starts were judged (1)" in told["verdict"]
     for command in (["env"], gate, TRAIN):
         fails_with(capsys, [*command, "--sensor", "fsr9"], "found 'fsr9', did you mean fsr? allowed")
@@ -65,8 +64,9 @@ def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys,
         patch.setattr(vector, "start", interrupt)
         assert main(["gate", *scene, "switch"]) == 130
         assert capsys.readouterr().err.startswith(firm)
-        assert main(["design", *scene, "eflesh", "switch", "--taxels", "1"]) == 130
-        assert capsys.readouterr().err.startswith(f"{unknown}\n{firm}\n")
+        for sensor, note in (("eflesh", unknown), ("switch", firm)):
+            assert main(["design", *scene, sensor, "--taxels", "1"]) == 130
+            assert capsys.readouterr().err.startswith(note)
     assert unknown in printed(capsys, ["env", *scene, "eflesh"])
     for known in (["--taxel-threshold", "0.1"], ["--touch-rule", "force"], ["--touch", "off"]):
         assert "eflesh names" not in printed(capsys, ["env", *scene, "eflesh", *known])
