@@ -1,11 +1,8 @@
-"""`tactilerl render`: a picture of a scripted grasp; a trained run on the screen or in a film."""
+"""`tactilerl render`: a picture of a scripted grasp; a film of a trained run."""
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,15 +18,13 @@ from ..terminal.console import console
 from .scene import layout_notes, read_scene, require_grasp
 
 ABOUT = """\
-Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: render).
+Draw a scripted grasp with its taxels, or film a trained run (extra: render).
 
 examples:
   tactilerl render --env shadow --layout 1
   tactilerl render runs/X --video film.mp4
-  tactilerl render runs/X --episode 17
-  tactilerl render runs/X"""
+  tactilerl render runs/X --episode 17"""
 RUN_FLAGS = "video", "episodes", "episode"
-SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 VERDICTS = {True: "success", False: "no success"}
 
 
@@ -40,9 +35,8 @@ class RenderFlags:
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Run folder whose policy plays in the run's own scene. Several are filmed side by side, from the
     same initial states. Without a run, a scripted grasp is drawn."""
-    video: Path | None = None
-    """File of the film; default: none where there is a display, which shows the run instead;
-    episodes.mp4 elsewhere, and of several runs."""
+    video: Path = Path("episodes.mp4")
+    """File of the film."""
     episodes: Annotated[int, "[1, inf)"] = 3
     """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2 s."""
     episode: Annotated[int, "[0, inf)"] | None = None
@@ -87,12 +81,8 @@ def main(args: list[str]) -> int:
     if read.run:
         if scene != setup(read.env):
             raise InputError("render RUN: found scene flags, but a run keeps its scene")
-        has_screen = sys.platform != "linux" or any(map(os.environ.get, SCREENS))
         with input_errors():
-            if read.video is None and len(read.run) == 1 and has_screen:
-                _watch(read)
-            else:
-                _film(read)
+            _film(read)
         return 0
     require_new(read.out, read.overwrite, ".png")
     with input_errors():
@@ -106,17 +96,9 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _watch(read: RenderFlags) -> None:
-    """Play a run's policy in a window."""
-    env, play = render.staged(read.run[0], read.hold_seconds, "human")
-    with closing(env):
-        for number in read.numbers:
-            console.print(f"{read.run[0]}: {VERDICTS[play(number)]}")
-
-
 def _film(read: RenderFlags) -> None:
     """Film runs' policies."""
-    video, seconds = read.video or Path("episodes.mp4"), read.hold_seconds
+    video, seconds = read.video, read.hold_seconds
     require_new(video, read.overwrite, ".mp4")
     tests = f" (hold tests of {seconds:g} s)" if seconds else ""
     for each in render.film(read.run, read.numbers, seconds, read.camera, video):

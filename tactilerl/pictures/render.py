@@ -96,7 +96,7 @@ class _Artist:
 
 
 def staged(
-    run: Path, hold_seconds: float | None, render_mode: str
+    run: Path, hold_seconds: float | None
 ) -> tuple[GraspEnv, Callable[[int], bool]]:
     """Return a run's scene, and a function that plays its policy there and returns its success.
 
@@ -115,7 +115,7 @@ def staged(
     if hold_seconds is not None:
         scene = replace(config.scene, hold_seconds=hold_seconds)
         config = replace(config, scene=scene)
-    env: GraspEnv = config.make_env(render_mode=render_mode)
+    env: GraspEnv = config.make_env(render_mode="rgb_array")
     task = evaluation.task(policy)
 
     def play(number: int) -> bool:
@@ -129,7 +129,7 @@ class _Player:
     """Film a run's policy in its own scene, under a line: who plays, which start, what came of it."""
 
     def __init__(self, run: Path, hold_seconds: float | None, camera: Camera) -> None:
-        self.env, self._play = staged(run, hold_seconds, "rgb_array")
+        self.env, self._play = staged(run, hold_seconds)
         timestep = self.env.config.timestep
         self._every = max(1, int(1 / FPS / timestep + 1e-6))
         self.fps = 1 / (self._every * timestep)

@@ -383,7 +383,7 @@ class TestOtherCommands:
         each = told["each"]
         assert [row["episode"] for row in each] == list(range(n))
         assert np.mean([row["return"] for row in each]) == pytest.approx(told["mean_return"])
-        env, play = pictures.staged(Path(run), None, "rgb_array")  # as films do
+        env, play = pictures.staged(Path(run), None)  # as films do
         with closing(env):
             assert {row["success"] for row in each} == {0.0, 1.0}
             assert [play(row["episode"]) for row in each] == [row["success"] == 1.0 for row in each]
