@@ -125,9 +125,8 @@ class DDPGHERConfig(LearnerConfig):
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
     since baselines has no done mask; terminal: it is not. Whether a relabelled goal ends the episode
-    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it. Without one, it
-    ends where its reward is as high as at the ends that were seen, if all of those were higher than
-    the rewards of all other steps."""
+    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it; without one, it
+    ends where it ended with its own goal."""
     normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
     reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean

@@ -62,7 +62,8 @@ class Replay:
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
 
-        Without `compute_terminated`, a new goal leaves the episode's end as it was.
+        Without `compute_terminated`, or where it returns None, a new goal leaves the episode's end as it
+        was.
 
         Raises ValueError when not a single episode has room.
         """
@@ -169,42 +170,11 @@ class Replay:
         goal[is_new] = achieved[slot[is_new], (t + 1 + ahead)[is_new]]  # in a copy
         following = achieved[slot, t + 1]
         reward = np.asarray(self.reward(following, goal), np.float32)
-        was_terminal = self._columns["terminal"][slot, t, 0] == 1
-        terminal = self._terminal(following, goal, reward, was_terminal, is_new)
-        return Relabelled(slot, t, goal, reward, terminal.astype(np.float32))
-
-    def _terminal(
-        self,
-        achieved: Array,
-        goal: Array,
-        reward: Array,
-        was_terminal: Array,
-        is_relabelled: Array,
-    ) -> Array:
-        """Return whether transitions end the episode, for a new goal where it is relabelled.
-
-        The environment says it; else rewards do, where with their own goals every transition that ended
-        an episode had a higher one than every other. Otherwise it is as with the own goal.
-        """
-        if self.compute_terminated is None:  # the learner bootstraps and does not ask
-            return was_terminal
-        terminal = self.compute_terminated(achieved, goal)
-        if terminal is None:  # the environment does not say
-            lowest = self._lowest_ending_reward()
-            others = reward[~is_relabelled & ~was_terminal]  # of this draw only
-            if not len(others) or lowest <= others.max():
-                return was_terminal
-            terminal = reward >= lowest
-        return np.where(is_relabelled, terminal, was_terminal)
-
-    def _lowest_ending_reward(self) -> float:
-        """Return the lowest reward of all transitions that ended an episode; inf without any."""
-        columns, slots = self._columns, np.arange(self.n_episodes)
-        last = self._lengths[slots] - 1
-        has_ended = columns["terminal"][slots, last, 0] == 1
-        slots, last = slots[has_ended], last[has_ended]
-        goals = columns["achieved"][slots, last + 1], columns["desired"][slots, last]
-        return float(np.min(self.reward(*goals))) if len(slots) else np.inf
+        terminal = self._columns["terminal"][slot, t, 0]
+        ends = self.compute_terminated and self.compute_terminated(following, goal)
+        if ends is not None:  # else the environment does not say, or the learner does not ask
+            terminal = np.where(is_new, ends, terminal)
+        return Relabelled(slot, t, goal, reward, terminal)
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
