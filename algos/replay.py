@@ -62,8 +62,7 @@ class Replay:
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
 
-        Without `compute_terminated`, or where it returns None, a new goal leaves the episode's end as it
-        was.
+        Without `compute_terminated`, or where that is None, a new goal leaves the end as it was.
 
         Raises ValueError when not a single episode has room.
         """
