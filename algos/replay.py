@@ -171,7 +171,9 @@ class Replay:
         reward = np.asarray(self.reward(following, goal), np.float32)
         terminal = self._columns["terminal"][slot, t, 0]
         ends = self.compute_terminated and self.compute_terminated(following, goal)
-        if ends is not None:  # else the environment does not say, or the learner does not ask
+        if (
+            ends is not None
+        ):  # else the environment does not say, or the learner does not ask
             terminal = np.where(is_new, ends, terminal)
         return Relabelled(slot, t, goal, reward, terminal)
 

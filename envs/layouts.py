@@ -203,8 +203,8 @@ class Layout:
         placed = []
         for index, offset, point in self.on_grids(hand):
             surface = hand.surfaces[index]
-            if not surface.is_gap(*offset):
-                position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
+            if place := surface.place(*offset):
+                position, normal = (tuple(vector.tolist()) for vector in place)
                 point = point._replace(position=position, normal=normal)
                 placed.append((point, index, (*offset, 0.0)))
         taxels = hand.sensors.points if self.is_model else self.taxels
@@ -312,7 +312,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
             "this hand; partial = true in the layout's file leaves them out"
         )
     grids = layout.on_grids(hand)
-    gaps = [point.name for i, spot, point in grids if hand.surfaces[i].is_gap(*spot)]
+    gaps = [p.name for i, spot, p in grids if not hand.surfaces[i].place(*spot)]
     return [*names, *gaps]
 
 

@@ -124,5 +124,5 @@ def _grid(
     beside = np.floor(half_width / spacing)
     columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
     for row, column in product(rows.tolist(), columns.tolist()):
-        if not surface.is_gap(row, column):
+        if surface.place(row, column):
             yield 1e3 * row, 1e3 * column
