@@ -232,13 +232,14 @@ class Exploration:
         return np.where(self._is_random, self._random, noisy)
 
 
-@dataclass(frozen=True)
 class GoalInputs:
     """Turn observation and goal, cut and normalized, into the networks' input."""
 
-    obs_scaling: Scaling
-    goal_scaling: Scaling
-    limit: Any
+    def __init__(self, limit: float, *stats: Normalizer) -> None:
+        """Take the bound on both before they are normalized by the moments of each."""
+        scalings = (each.scaling() for each in stats)
+        self.limit = limit
+        self.scaling = Scaling(*map(torch.cat, zip(*scalings, strict=True)))
 
     def read(self, obs: Any) -> Array:
         """Return observation, desired and achieved goal side by side."""
@@ -246,15 +247,13 @@ class GoalInputs:
         return np.concatenate([np.ravel(whole[key]) for key in VIEW], dtype=np.float32)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        n_goal = len(self.goal_scaling.mean_high)
-        seen = torch.from_numpy(np.stack(views))  # ordered as `VIEW`
-        return self(seen[:, : -2 * n_goal], seen[:, -2 * n_goal : -n_goal])
+        seen = torch.from_numpy(np.stack(views))
+        return self(seen[:, : len(self.scaling.limit)])
 
-    def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
-        """Return inputs (..., obs + goal) from observations (..., obs) and goals (..., goal)."""
-        scaled_obs = self.obs_scaling(obs.clamp(-self.limit, self.limit))
-        scaled_goals = self.goal_scaling(goals.clamp(-self.limit, self.limit))
-        return torch.cat([scaled_obs, scaled_goals], dim=-1)
+    def __call__(self, *seen: Tensor) -> Tensor:
+        """Return inputs (..., obs + goal) from observations and goals, or both side by side."""
+        whole = torch.cat(seen, dim=-1)
+        return self.scaling(whole.clamp(-self.limit, self.limit))
 
 
 class DDPGHER(Learner):
@@ -426,8 +425,7 @@ class DDPGHER(Learner):
     def _as_inputs(self, drawn: Batch) -> Batch:
         """Return tensors in which observations are the networks' inputs (n, obs + goal)."""
         batch = Batch(*(torch.from_numpy(column).to(self.device) for column in drawn))
-        scalings = self.obs_stats.scaling(), self.goal_stats.scaling()
-        inputs = GoalInputs(*scalings, self.config.clip_obs)
+        inputs = GoalInputs(self.config.clip_obs, self.obs_stats, self.goal_stats)
         return batch._replace(
             obs=inputs(batch.obs, batch.goal),
             next_obs=inputs(batch.next_obs, batch.goal),
@@ -545,15 +543,14 @@ class DDPGHER(Learner):
 
     @staticmethod
     def as_policy(config: DDPGHERConfig, spaces: Spaces, *parts: Any) -> Policy:
-        actor, obs_stats, goal_stats = parts
+        actor, *stats = parts
         explore = partial(
             Exploration,
             noise_eps=config.noise_eps,
             random_eps=config.random_eps,
             random_hold=config.random_hold,
         )
-        scalings = obs_stats.scaling(), goal_stats.scaling()
-        inputs = GoalInputs(*scalings, config.clip_obs)
+        inputs = GoalInputs(config.clip_obs, *stats)
         return Policy(on_cpu(actor), inputs, explore, spaces)
 
 

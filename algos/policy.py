@@ -169,17 +169,11 @@ class Policy:
 
         For a batch, which has one more axis in front (each part of a Dict has it), a batch of
         actions: up to rounding those for each observation alone. With `deterministic=False` the
-        policy explores as in the first step of an episode, with random numbers from `rng`.
-        ValueError when the observation has another shape than those it was trained on or is not
-        finite, or `rng` is missing.
+        policy explores as in the first step of an episode, with random numbers from `rng` (None: anew
+        at every call). ValueError when the observation has another shape than those it was trained on
+        or is not finite.
         """
-        noise = None
-        if not deterministic:
-            if rng is None:
-                raise ValueError(
-                    "rng: found none, needed to explore: numpy.random.default_rng(seed)"
-                )
-            noise = self.explore(rng)
+        noise = None if deterministic else self.explore(rng or np.random.default_rng())
         parts, is_batch = self._parts(obs)
         rows = [parts]
         if is_batch:
@@ -202,8 +196,7 @@ class Policy:
 
         Noise is drawn anew at every call; for noise from a seed, see `act`.
         """
-        rng = None if deterministic else np.random.default_rng()
-        return self.act(observation, deterministic, rng), None
+        return self.act(observation, deterministic), None
 
     def read(self, obs: Any) -> Any:
         """Return what is kept of one observation of the environment.
@@ -252,13 +245,9 @@ class Policy:
     def _parts(self, obs: Any) -> tuple[dict[str, Array], bool]:
         """Return the parts of an observation that are seen, and whether it is a batch of them."""
         whole = obs if isinstance(obs, Mapping) else {"": obs}
-        if isinstance(obs, tuple) or not whole.keys() >= self.shapes.keys():
-            found = [*obs] if isinstance(obs, Mapping) else f"a {type(obs).__name__}"
-            expected = (
-                "an array" if "" in self.shapes else f"a dict of {[*self.shapes]}"
-            )
-            raise ValueError(f"obs: found {found}, expected {expected}")
-        parts = {key: np.asarray(whole[key]) for key in self.shapes}
+        if isinstance(obs, tuple):  # as `env.reset` returns it
+            whole = {}
+        parts = {key: np.asarray(whole[key]) for key in self.shapes if key in whole}
         shapes = {key: part.shape for key, part in parts.items()}
         if shapes == self.shapes:
             return parts, False
@@ -266,8 +255,9 @@ class Policy:
         rest = {key: shape[1:] for key, shape in shapes.items()}
         if rest == self.shapes and len(batch) == 1:
             return parts, True
+        found = f"shape {_shown(shapes)}" if shapes else f"a {type(obs).__name__}"
         raise ValueError(
-            f"obs: found shape {_shown(shapes)}, expected {_shown(self.shapes)}, or a batch of such"
+            f"obs: found {found}, expected {_shown(self.shapes)}, or a batch of such"
         )
 
 

@@ -435,7 +435,9 @@ class PPO(Learner):
 
     def prepare(self) -> tuple[Transitions, Verdict]:
         """Return what to learn from, and what becomes of the actor, whose last update may be undone."""
-        self._grow_reward_scale()
+        # The unit of rewards is the largest return; as it grows, the critic's outputs shrink.
+        returns = (largest_return(e.rewards, self.config.gamma) for e in self.episodes)
+        self.critic.scale_outputs(self.reward_scale.grow(max(returns)))
         batch = self._batch()
         verdict = self._judge()
         if verdict == "undo":
@@ -443,11 +445,6 @@ class PPO(Learner):
         elif self.config.undo_silent and verdict == "learn":
             self.before_update = states(self.undoable)
         return batch, verdict
-
-    def _grow_reward_scale(self) -> None:
-        """Raise the unit of rewards to the epoch's largest return; the critic's outputs shrink."""
-        returns = (largest_return(e.rewards, self.config.gamma) for e in self.episodes)
-        self.critic.scale_outputs(self.reward_scale.grow(max(returns)))
 
     def _judge(self) -> Verdict:
         """Return what the returns say; those of episodes that the physics cut off say nothing."""

@@ -161,7 +161,7 @@ class GraspEnv(gym.Env[Any, Array]):
     the simulator has warned since the last step.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"]}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
     state: State
     """State after the last action, before any hold test."""
 
@@ -276,8 +276,6 @@ class GraspEnv(gym.Env[Any, Array]):
         self._desired_goal, self._steps = self._goal(desired), 0
         self.task.before_step(self.simulator, self._steps)
         self._obs = self._goal_obs(observation, achieved)
-        if self.render_mode == "human":
-            self.render()
         return self._obs, self._info()
 
     def draw_start(self, rng: Any) -> tuple[objects.Item, tasks.Start, Any, Any]:
@@ -338,8 +336,6 @@ class GraspEnv(gym.Env[Any, Array]):
         reward = self.task.compute_reward(*goals)
         plugins.require_array(reward, (), f"task {self.config.task}: compute_reward")
         info = self._info(is_success=bool(self.task.is_success(*goals)))
-        if self.render_mode == "human":
-            self.render()
         terminated = bool(terminated)
         return obs, float(reward), terminated, is_last and not terminated, info
 
@@ -375,12 +371,7 @@ class GraspEnv(gym.Env[Any, Array]):
         return self._touch.read(self.simulator.state())
 
     def render(self) -> Array | None:
-        """Return a picture of the scene, taxels that fire lit, when made with "rgb_array".
-
-        With "human" show it in MuJoCo's viewer, as every reset and step does.
-        """
-        if self.render_mode == "human":
-            self.simulator.show(self._spheres())
+        """Return a picture of the scene, taxels that fire lit, when made with "rgb_array"."""
         if self.render_mode == "rgb_array":
             return self.picture(simulators.Camera())
         return None

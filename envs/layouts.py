@@ -20,7 +20,7 @@ import numpy as np
 from . import taxel_files, validation
 from .hands import DIGITS, SEGMENTS, Hand, Pitch, Point, Surface
 from .state import Array
-from .taxel_files import READERS, SensorTable, require_distinct
+from .taxel_files import require_distinct
 from .validation import Newtons, require_one_of
 
 MODEL = "model"
@@ -180,7 +180,6 @@ class LayoutFile:
     """True: a hand may lack places that it names."""
     patch: tuple[PatchTable, ...] = ()
     taxel: tuple[dict[str, Any], ...] = ()
-    sensor: tuple[SensorTable, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -204,8 +203,8 @@ class Layout:
         placed = []
         for index, offset, point in self.on_grids(hand):
             surface = hand.surfaces[index]
-            if not surface.is_gap(*offset):
-                position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
+            if place := surface.place(*offset):
+                position, normal = (tuple(vector.tolist()) for vector in place)
                 point = point._replace(position=position, normal=normal)
                 placed.append((point, index, (*offset, 0.0)))
         taxels = hand.sensors.points if self.is_model else self.taxels
@@ -313,7 +312,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
             "this hand; partial = true in the layout's file leaves them out"
         )
     grids = layout.on_grids(hand)
-    gaps = [point.name for i, spot, point in grids if hand.surfaces[i].is_gap(*spot)]
+    gaps = [p.name for i, spot, p in grids if not hand.surfaces[i].place(*spot)]
     return [*names, *gaps]
 
 
@@ -370,14 +369,14 @@ def short(name: str) -> str:
 
 def is_file(name: str) -> bool:
     """Return True if the name of a layout is the path of a file."""
-    return "\n" not in name and Path(name).suffix in (".toml", *READERS)
+    return "\n" not in name and Path(name).suffix in (".toml", ".csv")
 
 
 def load(name: str) -> Layout:
     """Return a layout by number or name, or from a file or the text of a TOML file.
 
-    Files are TOML, or points in another format (`taxel_files.READERS`). Raises ValueError naming what
-    is wrong with the file, and FileNotFoundError.
+    Files are TOML, or points as CSV (`taxel_files`). Raises ValueError naming what is wrong with the
+    file, and FileNotFoundError.
     """
     if name in PAPER:
         return PAPER[name]
@@ -385,29 +384,28 @@ def load(name: str) -> Layout:
         return Layout(MODEL, "the touch sensors that the hand's model has", ())
     if "\n" in name:
         with validation.blamed("layout"):
-            return parse(tomllib.loads(name), Path("own"))
+            return parse(tomllib.loads(name), "own")
     path = Path(name)
-    if path.suffix in READERS:
+    if path.suffix == ".csv":
         return Layout(path.stem, f"points of {name}", (), taxel_files.read(path))
     if not name.endswith(".toml"):
         path = LAYOUT_FOLDER / f"{name}.toml"
         if name not in names():
-            allowed = ", ".join((*names(), MODEL, "FILE.toml", *READERS))
+            allowed = ", ".join((*names(), MODEL, "FILE.toml", "FILE.csv"))
             raise ValueError(f"unknown layout {name!r}; allowed: {allowed}")
     data = validation.read(path, "layout file")
     with validation.blamed(f"layout file {path}"):
-        return parse(data, path)
+        return parse(data, path.stem)
 
 
-def parse(data: dict[str, Any], path: Path) -> Layout:
+def parse(data: dict[str, Any], name: str) -> Layout:
     """Return a layout from the content of a file (docs/guides/layouts.md)."""
     file = validation.fill(LayoutFile, data)
-    if not (file.patch or file.taxel or file.sensor):
-        raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
-    points = [taxel_files.point(table, i) for i, table in enumerate(file.taxel, 1)]
-    points += taxel_files.mounted(file.sensor, path.parent)
+    if not (file.patch or file.taxel):
+        raise ValueError("needs at least one [[patch]] or [[taxel]] table")
+    points = tuple(taxel_files.point(table, i) for i, table in enumerate(file.taxel, 1))
     patches = tuple(table.patch() for table in file.patch)
-    return Layout(path.stem, file.description, patches, tuple(points), file.partial)
+    return Layout(name, file.description, patches, points, file.partial)
 
 
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:

@@ -70,7 +70,6 @@ class Workers:
         None where the environment does not say.
         """
         limits = [getattr(self.env.unwrapped, "max_episode_steps", None)]
-        limits.append(getattr(self.env.spec, "max_episode_steps", None))
         limit = "_max_episode_steps"  # of a TimeLimit
         if self.env.has_wrapper_attr(limit):
             limits.append(self.env.get_wrapper_attr(limit))

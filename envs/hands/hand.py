@@ -62,12 +62,12 @@ class Surface:
     extent: tuple[float, float] = (9e-3, 9e-3)
     """Half the length and half the width of a surface that is no cylinder, m."""
 
-    def place(self, row: float, column: float) -> tuple[Array, Array]:
+    def place(self, row: float, column: float) -> tuple[Array, Array] | None:
         """Return position (3,), m, and outward normal (3,) of a taxel, in the link's frame.
 
         It lies `row` and `column` metres off the grid's middle. The flat grid is projected on to the
         link along the palmar normal, so that the paper's pitches hold in the plane they are given in.
-        Raises ValueError when that lies beside the link.
+        None where a link of any shape has nothing there; ValueError beside one that is a capsule.
         """
         palmar = np.array(self.palmar)
         above = (
@@ -76,11 +76,10 @@ class Surface:
         if self.geoms:
             from .geometry import meet
 
-            if met := meet(self.geoms, above, -palmar):
-                return met
-        elif self.bone is None:
+            return meet(self.geoms, above, -palmar)
+        if self.bone is None:
             return above, palmar
-        elif abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact
+        if abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact
             height = np.sqrt(max(0.0, self.radius**2 - column**2))
             outward = column * self.across + height * palmar
             return above + height * palmar, outward / self.radius
@@ -90,14 +89,6 @@ class Surface:
             f"{1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside its middle, allowed "
             f"{low:.1f} to {high:.1f} mm along and up to {half_width:.1f} mm beside"
         )
-
-    def is_gap(self, row: float, column: float) -> bool:
-        """Return whether a link of any shape has nothing there; False for capsules and planes."""
-        try:
-            self.place(row, column)
-        except ValueError:
-            return bool(self.geoms)
-        return False
 
     @property
     def across(self) -> Array:

@@ -230,13 +230,6 @@ class Simulator(ABC):
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         """Return an RGB picture (height, width, 3) uint8 of the scene with some spheres."""
 
-    def show(self, spheres: Sequence[Sphere] = ()) -> None:
-        """Show the scene with some spheres in a window, no faster than real time.
-
-        Raise ValueError where the simulator has none, OSError where there is no display.
-        """
-        raise ValueError("render_mode: found 'human', allowed with simulator mujoco")
-
     @abstractmethod
     def close(self) -> None:
         """Release what is held outside Python."""

@@ -6,8 +6,6 @@ import importlib
 import math
 import os
 import sys
-import threading
-import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -150,17 +148,6 @@ def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
     spec.add_sensor(name=name, type=touch, objtype=site, objname=name)
 
 
-def add_spheres(scene: mujoco.MjvScene, spheres: Sequence[Sphere]) -> None:
-    """Add spheres to what is drawn, as many as there is room for."""
-    for sphere in spheres[: scene.maxgeom - scene.ngeom]:
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius), sphere.centre,
-            np.eye(3).ravel(), np.array(sphere.colour, np.float32),
-        )  # fmt: skip
-        scene.ngeom += 1
-
-
-LONGEST_WAIT = 2.0  # s, for a picture to be due
 _cannot_draw: list[str] = []  # the reason, once an attempt has failed in this process
 DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
 """Variables that say what MuJoCo draws with, or on."""
@@ -191,52 +178,6 @@ def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer
         raise OSError(_cannot_draw[0]) from error
 
 
-class _Window:
-    """MuJoCo's viewer on a copy of the scene, which nothing done in it can disturb."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._model, self._copy = model, mujoco.MjData(model)
-        self._shown_at = self._time = 0.0
-        threads = set(threading.enumerate())
-        try:
-            with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error
-                import glfw
-                from mujoco import viewer
-
-                if not glfw.init():
-                    raise RuntimeError("no display")
-            self.viewer = viewer.launch_passive(
-                model, self._copy, show_left_ui=False, show_right_ui=False
-            )
-        except (ImportError, RuntimeError) as error:
-            reason = f"no window opens here ({error})"
-            raise OSError(f"render_mode human: {reason}") from error
-        self._threads = set(threading.enumerate()) - threads
-        camera, view = Camera(), self.viewer.cam
-        view.azimuth, view.elevation = camera.azimuth, camera.elevation
-        view.distance = 1.5 * camera.distance
-
-    def show(self, data: mujoco.MjData, spheres: Sequence[Sphere]) -> None:
-        """Show the state when it is due; nothing where the window has been closed."""
-        if not self.viewer.is_running():
-            return
-        ahead = data.time - self._time - (time.monotonic() - self._shown_at)
-        time.sleep(min(max(ahead, 0.0), LONGEST_WAIT))
-        self._shown_at, self._time = time.monotonic(), data.time
-        with self.viewer.lock():
-            mujoco.mj_copyData(self._copy, self._model, data)
-            self.viewer.cam.lookat[:] = data.body(OBJECT).xpos
-            self.viewer.user_scn.ngeom = 0
-            add_spheres(self.viewer.user_scn, spheres)
-        self.viewer.sync()
-
-    def close(self) -> None:
-        """Close the window and wait for its end: drawing that outlives the scene crashes."""
-        self.viewer.close()
-        for thread in self._threads:
-            thread.join()
-
-
 def _set_mean_inertia(model: mujoco.MjModel) -> None:
     """Set the solver's unit by one sum for models as compiled and changed.
 
@@ -261,7 +202,6 @@ class MujocoSimulator(Simulator):
         self.data = mujoco.MjData(self.model)
         self._past_warnings = 0
         self._renderer: mujoco.Renderer | None = None
-        self._window: _Window | None = None
         hand, model = scene.hand, self.model
         self.joint_limits = joint_limits(model, hand)
         joints = [model.joint(name) for name in hand.joints]
@@ -448,20 +388,16 @@ class MujocoSimulator(Simulator):
         self._renderer.update_scene(self.data, view)
         scene = self._renderer.scene
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
-        add_spheres(scene, spheres)
+        for sphere in spheres[: scene.maxgeom - scene.ngeom]:  # as there is room for
+            mujoco.mjv_initGeom(
+                scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius),
+                sphere.centre, np.eye(3).ravel(), np.array(sphere.colour, np.float32),
+            )  # fmt: skip
+            scene.ngeom += 1
         return self._renderer.render()
 
-    def show(self, spheres: Sequence[Sphere] = ()) -> None:
-        """Show the scene in a window."""
-        if self._window is None:
-            self._window = _Window(self.model)
-        self._window.show(self.data, spheres)
-
     def close(self) -> None:
-        """Close the window and the renderer."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        """Close the renderer."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

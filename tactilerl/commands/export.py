@@ -124,7 +124,7 @@ class Controller(nn.Module):
         obs = torch.cat([terms.flatten(), taxels.flatten()])
         goal = given["desired_goal"]
         if isinstance(self.scale, GoalInputs):
-            scaled = self.scale(obs[None], goal[None])[0]
+            scaled = self.scale(obs, goal)
         else:
             scaled = self.scale.scaling(torch.cat([obs, goal]))
         action = self.network(scaled).clamp(-1.0, 1.0)

@@ -193,7 +193,7 @@ def _grid(
     beside = np.floor(half_width / spacing)
     columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
     for row, column in product(rows.tolist(), columns.tolist()):
-        if not surface.is_gap(row, column):
+        if surface.place(row, column):
             yield 1e3 * row, 1e3 * column
 
 
@@ -213,7 +213,7 @@ def has_margin(surface: Surface, row: float, column: float, margin: float) -> bo
     around = [(row + step, column) for step in (-margin, margin)]
     around += [(row, column + step) for step in (-margin, margin)]
     return all(
-        low <= r <= high and abs(c) <= half_width and not surface.is_gap(r, c)
+        low <= r <= high and abs(c) <= half_width and surface.place(r, c) is not None
         for r, c in around
     )
 

@@ -332,8 +332,7 @@ class TestUpdate:
     def test_targets_are_those_of_the_target_networks_in_what_follows(self):
         learner = trained(3, make(clip_target=False, gamma=0.9))
         drawn = learner.replay.sample(16, 0.8)
-        scalings = learner.obs_stats.scaling(), learner.goal_stats.scaling()
-        scaled = GoalInputs(*scalings, learner.config.clip_obs)
+        scaled = GoalInputs(learner.config.clip_obs, learner.obs_stats, learner.goal_stats)
         following = scaled(torch.from_numpy(drawn.next_obs), torch.from_numpy(drawn.goal))
         with torch.no_grad():
             actions = learner.target_actor(following)

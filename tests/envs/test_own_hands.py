@@ -1,6 +1,5 @@
 """Hands and taxels from anybody's files: a gripper of boxes and meshes, without actuators."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 import tactilerl
-from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts
 from tactilerl.runs.store import RunDir
@@ -133,33 +131,6 @@ class TestTaxelFiles:
     @pytest.fixture
     def taxels(self):
         return layouts.load("1").place(hands.get(GRIPPER))
-
-    def test_a_genesis_file_as_it_is_published(self, tmp_path):
-        """Entries a link, probes in rows of a grid, which those of radius 0 fill up."""
-        probe = {"radius": 0.004, "pos": [-0.006, 0.001, -0.02], "normal": [-0.8, 0.1, 0.6]}
-        other = {**probe, "pos": [-0.006, -0.001, -0.02]}
-        padding = {"radius": 0, "pos": [0, 0, 0], "normal": [0, 0, 1]}
-        rows = [[probe, padding], [other, padding]]
-        grid = {"link_name": "left_2", "kind": "grid", "probes": rows}
-        path = tmp_path / "probes.json"
-        path.write_text(json.dumps([grid]))
-        taxels = layouts.load(str(path)).place(hands.get(GRIPPER))
-        assert taxels.links == ("left_2",)
-        assert taxels.radii.tolist() == [0.004] * 2
-        np.testing.assert_allclose(np.linalg.norm(taxels.normals, axis=1), 1.0)
-
-    def test_a_pattern_is_put_on_links(self, tmp_path):
-        """Normals along z are here turned so that they look along x."""
-        rows = "".join(f"pad,{x},0,0,0,0,1,.002\n" for x in (0, 0.001, 0.002))
-        (tmp_path / "pad.csv").write_text("link,x,y,z,nx,ny,nz,radius\n" + rows)
-        turn = Rotation.from_euler("y", 90, degrees=True).as_quat(scalar_first=True).tolist()
-        mount = 'file = "pad.csv"\nlinks = ["left_2", "right_2"]\nposition = [0, 0, -0.01]\n'
-        layout = tmp_path / "layout.toml"
-        layout.write_text(f"[[sensor]]\n{mount}quaternion = {turn}\nradius = 0.001\n")
-        taxels = layouts.load(str(layout)).place(hands.get(GRIPPER))
-        assert len(taxels) == 6
-        np.testing.assert_allclose(taxels.normals, np.tile([1.0, 0, 0], (6, 1)), atol=1e-12)
-        np.testing.assert_allclose(taxels.positions[2], [0, 0, -0.012], atol=1e-12)
 
     def test_a_link_that_the_hand_has_not(self, tmp_path):
         path = tmp_path / "a.csv"
