@@ -53,55 +53,46 @@ def alike(config: Any) -> tuple[Any, ...]:
 class Networks:
     """Hold one network of each run in one tensor, `flat` (E, parameters), and its Adam.
 
-    Inputs that a run does not have are zero, and so stay their weights.
+    What a run has alone are the last numbers of its row, weights as (inputs, outputs): its module and
+    its Adam keep them there. Before them are weights of inputs that only others have, for which it is
+    given zeros: they stay zero.
     """
 
     on: Tensor
     """1 for the runs whose Adams take a step, 0 for others, (E, 1)."""
 
-    def __init__(
-        self, runs: Sequence[Run], columns: Sequence[Tensor], device: torch.device
-    ) -> None:
-        """Stack the module of each run, with its Adam; `columns`, bool (width,), are its inputs."""
-        self.runs, self.device = runs, device
-        first, *rest = (p.shape for p in runs[0][0].parameters())
-        self.shapes = [(*first[:-1], len(columns[0])), *rest]
+    def __init__(self, runs: Sequence[Run], device: torch.device) -> None:
+        """Stack the module of each run, with its Adam."""
+        self.runs = runs
+        each = [[*module.parameters()] for module, _ in runs]
+        widest = max(each, key=lambda parameters: parameters[0].numel())
+        self.shapes = [p.t().shape for p in widest]
         self.sizes = [*map(math.prod, self.shapes)]
-        others = torch.ones(sum(self.sizes[1:]), dtype=torch.bool)
-        self.places = [
-            torch.cat([own.expand(self.shapes[0]).ravel(), others]) for own in columns
-        ]
         self.rows = torch.zeros(3, len(runs), sum(self.sizes), device=device)
         self.flat = self.rows[0]
         self.n_steps = torch.zeros(len(runs), 1, device=device)
         for i in range(len(runs)):
-            self.read(i)
+            self.take_in(i)
         self.flat.requires_grad_()
 
     @torch.no_grad()
-    def read(self, i: int) -> None:
-        """Copy what run `i` has alone into its rows."""
-        (module, adam), parts = self.runs[i], list[Tensor]()
-        for p in module.parameters():
-            state = adam.state.get(p, {}) if adam else {}
-            moments = (state.get(name, torch.zeros_like(p)) for name in MOMENTS)
-            parts.append(torch.stack([p, *moments]).flatten(1))
-            self.n_steps[i] = state.get("step", 0.0)
-        self.rows[:, i, self.places[i]] = torch.cat(parts, dim=1)
-
-    @torch.no_grad()
-    def write(self, i: int) -> None:
-        """Copy the rows of run `i` into what it has alone."""
-        (module, adam), rows = self.runs[i], self.rows[:, i, self.places[i]]
+    def take_in(self, i: int) -> None:
+        """Move what run `i` has alone into its row."""
+        module, adam = self.runs[i]
         parameters = [*module.parameters()]
-        parts = torch.split(rows, [p.numel() for p in parameters], dim=1)
-        for p, part in zip(parameters, parts, strict=True):
-            value, *moments = part.unflatten(1, p.shape)  # type: ignore[no-untyped-call]
-            p.copy_(value)
-            if adam:
-                adam.state[p]["step"] = self.n_steps[i, 0].clone()
-                for name, moment in zip(MOMENTS, moments, strict=True):
-                    adam.state[p][name] = moment.clone()
+        sizes = [*map(torch.numel, parameters)]
+        own = self.rows[:, i, -sum(sizes) :].split(sizes, dim=1)  # type: ignore[no-untyped-call]
+        for p, numbers in zip(parameters, own, strict=True):
+            state = adam.state[p] if adam else {}
+            before = p, *(state.get(name, 0.0) for name in MOMENTS)
+            views = [row.view(p.t().shape).t() for row in numbers]
+            for view, values in zip(views, before, strict=True):
+                view[...] = values
+            self.n_steps[i] = state.get("step", 0.0)
+            p.data, *moments = views
+            state |= {"step": self.n_steps[i, 0]} | dict(
+                zip(MOMENTS, moments, strict=True)
+            )
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return what MLPs return (E, n, outputs) for inputs (E, n, width)."""
@@ -110,7 +101,7 @@ class Networks:
         for layer in self.runs[0][0].children():
             if isinstance(layer, nn.Linear):
                 weight, bias, *parts = parts
-                x = torch.baddbmm(bias[:, None], x, weight.mT)
+                x = torch.baddbmm(bias[:, None], x, weight)
             else:
                 x = layer(x)
         return x
@@ -119,11 +110,6 @@ class Networks:
         """Return all parameters, as a module does."""
         return [self.flat]
 
-    @torch.no_grad()
-    def scale_outputs(self, i: int, factor: float) -> None:
-        """Multiply what the last layer of run `i` returns by `factor`."""
-        self.flat[i, -sum(self.sizes[-2:]) :] *= factor
-
     def zero_grad(self) -> None:
         """Forget the last gradient, as Adam does."""
         self.flat.grad = None
@@ -131,7 +117,7 @@ class Networks:
     def take_rates(self) -> None:
         """Learn at the rates that the runs' own Adams have now."""
         rates = [[adam.param_groups[0]["lr"]] for _, adam in self.runs if adam]
-        self.lr = torch.tensor(rates, device=self.device)
+        self.lr = torch.tensor(rates, device=self.flat.device)
 
     @torch.no_grad()
     def step(self) -> None:
@@ -146,13 +132,6 @@ class Networks:
         first, second = ((1 - beta**n).float() for beta in BETAS)
         size = (square.sqrt() / second.sqrt()).add_(EPS)
         flat.sub_(mean / size * (on * self.lr / first))
-
-
-def spread(values: Tensor, columns: Tensor) -> Tensor:
-    """Return values (..., n) in the n columns of (..., width) that are True, and 0 in the others."""
-    whole = values.new_zeros(*values.shape[:-1], len(columns))
-    whole[..., columns] = values
-    return whole
 
 
 # -- learners --------------------------------------------------------------------------------
@@ -172,7 +151,7 @@ class BatchLearner:
     n_tests = 0
     """Number of episodes of a test at the end of an epoch."""
     networks: Sequence[Networks]
-    """All that `write` gives back to the single learners."""
+    """All that must stay finite."""
 
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
@@ -194,15 +173,24 @@ class BatchLearner:
         self.config = dataclasses.replace(config, **floats)
         """The hyperparameters, of which floats are (E, 1)."""
         spaces = env.single_observation_space
-        self.width, self.n_goal = (
+        self.width, n_goal = (
             spaces[key].shape[0] for key in ("observation", "desired_goal")
         )
-        self.n_actions = env.single_action_space.shape[0]
+        self.n_inputs, self.n_actions = (
+            self.width + n_goal,
+            env.single_action_space.shape[0],
+        )
         self.e = torch.arange(len(learners), device=self.device)[:, None]
-        self.kept = self.columns(self.n_goal * (len(self.view) - 1))
+        self.pads = [self.n_inputs - one.n_inputs for one in learners]
+        """Number of inputs that each run does not have; here they come first, and are zero."""
+        columns = np.arange(self.width + n_goal * (len(self.view) - 1))
+        own, goals = np.split(columns, [self.width])
+        order = [np.append(np.roll(own, pad), goals) for pad in self.pads]
+        self.order = torch.tensor(
+            np.repeat(order, self.n_worlds, axis=0), device=self.device
+        )
         self.failures, self.on = dict[int, str](), list[int]()
-        self.inputs = self.columns(self.n_goal)
-        self.actor = self.stacked("actor", self.inputs, "actor_adam")
+        self.actor = self.stacked("actor", "actor_adam")
         self.build()
 
     def build(self) -> None:
@@ -212,11 +200,15 @@ class BatchLearner:
     def look(self) -> None:
         """Scale what networks are given as the single learners' normalizers now do."""
         each = list[Tensor]()
-        for one, own in zip(self.learners, self.inputs, strict=True):
+        for one in self.learners:
             stats = (getattr(one, name).scaling() for name in self.stats)
-            parts = torch.cat([torch.stack([*scaling]) for scaling in stats], dim=1)
-            each.append(spread(parts, own))
+            parts = [torch.stack([*scaling]) for scaling in stats]
+            each.append(self.padded(torch.cat(parts, dim=1)))
         self.scale = Scaling(*torch.stack(each, dim=1)[:, :, None].to(self.device))
+
+    def padded(self, own: Tensor) -> Tensor:
+        """Return values (..., n) of a run's own inputs with zeros for those of others before them."""
+        return nn.functional.pad(own, (self.n_inputs - own.shape[-1], 0))
 
     def scaled(self, seen: Tensor) -> Tensor:
         """Return what networks are given for observations and goals side by side, (E, n, ...)."""
@@ -226,22 +218,10 @@ class BatchLearner:
         """Return the exploration of an episode in each of some worlds, with their generators."""
         raise NotImplementedError
 
-    def write(self, i: int) -> None:
-        """Write the state of run `i` into its single learner."""
-        for networks in self.networks:
-            networks.write(i)
-
-    def columns(self, n_more: int) -> list[Tensor]:
-        """Return which inputs each run has: its own part of the observation, and all of `n_more`."""
-        columns = torch.ones(len(self.learners), self.width + n_more, dtype=torch.bool)
-        for own, one in zip(columns, self.learners, strict=True):
-            own[one.n_inputs - self.n_goal : self.width] = False
-        return [*columns]
-
-    def stacked(self, name: str, columns: Sequence[Tensor], adam: str = "") -> Networks:
+    def stacked(self, name: str, adam: str = "") -> Networks:
         """Return the networks that single learners have by this name, with their Adams, if any."""
         runs = [(getattr(one, name), getattr(one, adam, None)) for one in self.learners]
-        return Networks(runs, columns, self.device)
+        return Networks(runs, self.device)
 
     def numbers(self, values: Iterable[float]) -> Tensor:
         """Return a number of each run, (E, 1)."""
@@ -330,44 +310,42 @@ class BatchLearner:
         self, keys: Mapping[int, Key], first: int, explores: bool
     ) -> dict[int, Episode]:
         """Play one episode, number `first` and following, in each world of the runs with keys."""
-        env, n, n_worlds = self.env, self.env.num_envs, self.n_worlds
+        env, n_worlds = self.env, self.n_worlds
         rngs = {
             i * n_worlds + w: np.random.default_rng([*key, first + w])
             for i, key in keys.items()
             for w in range(n_worlds)
         }
-        seeds: list[int | None] = [None] * n
+        every = np.arange(env.num_envs)
+        seeds: list[int | None] = [None] * len(every)
         for world, rng in rngs.items():
             seeds[world] = int(rng.integers(2**31))
         explore: Noise = self.explore(rngs) if explores else np.asarray
-        every, n_rows = np.arange(n), env.max_episode_steps + 1
-        live = np.isin(every, [*rngs])
-        obs, info = env.reset(seed=seeds, options={"reset_mask": live})
-        diverged = live & info["diverged"]
-        seen = self._whole(obs)
+        begins = live = np.isin(every, [*rngs])
+        seen = self._whole(env.reset(seed=seeds, options={"reset_mask": live})[0])
         # Rows of a world from its length on mean nothing.
-        views = seen.new_zeros(n, n_rows, seen.shape[-1])
-        views[:, 0] = seen
-        actions = np.zeros((n, n_rows, self.n_actions), np.float32)
-        rewards, lengths = np.zeros((n, n_rows)), np.zeros(n, np.int64)
-        success, terminated = live & False, live & False
-        begins = live = live & ~diverged
+        shape = len(every), env.max_episode_steps + 1
+        views, lengths = (
+            seen.new_zeros(*shape, seen.shape[1]),
+            np.zeros(len(every), int),
+        )
+        actions = np.zeros((*shape, self.n_actions), np.float32)
+        views[:, 0], rewards = seen, np.zeros(shape)
+        success, terminated, diverged = (live & False for _ in range(3))
         while live.any():
-            by_run = seen[:, : len(self.inputs[0])].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
+            by_run = seen[:, : self.n_inputs].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
             chosen = self.actor(self.scaled(by_run)).flatten(0, 1)
             taken = np.nan_to_num(explore(chosen.cpu().numpy()))  # of runs that fail
             actions[begins, lengths[begins]] = taken[begins]
             on_device = torch.from_numpy(taken.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
             rewards[every, lengths], *ends = (part.cpu().numpy() for part in results)
-            broken, holds, is_success = (
-                live & info[name] for name in ("diverged", "holding", "is_success")
-            )
+            broken, holds = live & info["diverged"], live & info["holding"]
             stepped = live & ~(broken | holds)
             lengths += stepped
             seen = self._whole(obs)  # in a hold test, that after the step already
             views[stepped, lengths[stepped]] = seen[stepped]
-            success = np.where(live & ~holds, is_success, success)
+            success = np.where(live & ~holds, info["is_success"], success)
             terminated |= stepped & ends[0]
             diverged |= broken
             begins = stepped & ~(ends[0] | ends[1])
@@ -375,7 +353,7 @@ class BatchLearner:
         on_host, episodes = views.cpu().numpy(), dict[int, Episode]()
         for world in rngs:
             i, length = world // n_worlds, lengths[world]
-            mine: Any = on_host[world, : length + 1][:, self.kept[i]]
+            mine: Any = on_host[world, : length + 1, self.pads[i] :]
             episodes[world] = Episode(
                 obs=mine,
                 actions=actions[world, :length],  # type: ignore[arg-type]
@@ -389,7 +367,9 @@ class BatchLearner:
         return episodes
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
-        return torch.cat([obs[key] for key in self.view], dim=-1)
+        """Return what is kept of observations, side by side; what runs do not have comes first."""
+        whole = torch.cat([obs[key] for key in self.view], dim=-1)
+        return whole.take_along_dim(self.order, dim=1)
 
 
 class Draws:
@@ -420,11 +400,10 @@ class BatchPPO(BatchLearner):
 
     def build(self) -> None:
         """Stack standard deviations of actors, and critics."""
-        every = [torch.ones(self.n_actions, dtype=torch.bool)] * len(self.e)
-        self.log_std = self.stacked("gaussian", every, "std_adam")
-        self.critic = self.stacked("critic", self.inputs, "critic_adam")
-        is_fixed = self.config.exploration == "fixed"
-        self.actors = [self.actor] if is_fixed else [self.actor, self.log_std]
+        is_learned = self.config.exploration == "learned"
+        self.log_std = self.stacked("gaussian", "std_adam" if is_learned else "")
+        self.critic = self.stacked("critic", "critic_adam")
+        self.actors = [self.actor, self.log_std] if is_learned else [self.actor]
         self.networks = [*self.actors, self.critic]
 
     def _std(self) -> Tensor:
@@ -433,67 +412,63 @@ class BatchPPO(BatchLearner):
         return at_start * self.log_std.flat[:, None].exp()
 
     def explore(self, rngs: Rngs) -> Noise:
-        stds = self._std()[:, 0].cpu().numpy().repeat(self.n_worlds, axis=0)
-        each = [[one.config.noise_correlation] for one in self.learners]
-        lasts = np.repeat(each, self.n_worlds, axis=0)
+        parts = self._std()[:, 0], self.config.noise_correlation
+        by_world = (part.cpu().numpy().repeat(self.n_worlds, axis=0) for part in parts)
         draws: Any = Draws(rngs, self.env.max_episode_steps)
-        return GaussianNoise(draws, stds, lasts)
+        return GaussianNoise(draws, *by_world)
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
-        every, mine = range(len(self.learners)), dict[int, tuple[Transitions, Any]]()
-        for i in self.on:
-            if prepared := self.tried(i, self.learners[i].prepare):
-                own, verdict = prepared
-                mine[i] = own._replace(obs=spread(own.obs, self.inputs[i])), verdict
-        if not mine:
+        prepared = {i: self.tried(i, self.learners[i].prepare) for i in self.on}
+        if not self.on:
             return {}
+        any_batch, is_on = (
+            prepared[self.on[0]],
+            [i in self.on for i in range(len(self.e))],
+        )
+        each = [prepared[i] if on else any_batch for i, on in enumerate(is_on)]
         for networks in self.networks:
             networks.take_rates()
-            for i in mine:  # critics have another unit of rewards, actors may be undone
-                networks.read(i)
-        first = next(iter(mine.values()))
-        each = zip(*(mine.get(i, first)[0] for i in every), strict=True)
-        batch = Transitions(
-            *(pad_sequence([*parts], batch_first=True) for parts in each)
+            for i in self.on:
+                if each[i][1] == "undo":  # which gives Adams memory of their own
+                    networks.take_in(i)
+        owns = [own._replace(obs=self.padded(own.obs)) for own, _ in each]
+        padded = (pad_sequence([*parts], True) for parts in zip(*owns, strict=True))
+        batch = Transitions(*padded)
+        learns = self.numbers(
+            on and verdict == "learn"
+            for on, (_, verdict) in zip(is_on, each, strict=True)
         )
-        learns = self.numbers(i in mine and mine[i][1] == "learn" for i in every)
-        passes: list[Any] = [iter(()) for _ in every]
-        for i, (own, _) in mine.items():
-            passes[i] = self.learners[i].passes(len(own.obs))
-        sums = torch.zeros(4, len(passes), device=self.device)
-        n_updates, none = torch.zeros_like(learns), self.e[:0, 0]
+        passes = [iter(()) for _ in each]
+        for i in self.on:
+            passes[i] = self.learners[i].passes(len(owns[i].obs))
+        sums, last = torch.zeros(2, 5, len(each), device=self.device)
         while any(minibatches := [next(each, ()) for each in passes]):
-            last_kl = torch.zeros_like(sums[0])
-            for parts in zip_longest(*minibatches, fillvalue=none):
-                rows = pad_sequence([*parts], batch_first=True, padding_value=-1)
-                stats, is_any = self._step(batch, rows, learns)
+            for parts in zip_longest(*minibatches, fillvalue=self.e[0, :0]):
+                rows = pad_sequence([*parts], True, -1)
+                stats = self._step(batch, rows, learns)
                 sums += stats
-                n_updates += is_any
-                last_kl = torch.where(is_any[:, 0] == 1, stats[1], last_kl)
+                last = torch.where(stats[4] == 1, stats, last)
             if self.config.target_kl is not None:
-                is_far = last_kl > self.config.target_kl[:, 0]
+                is_far = last[1] > self.config.target_kl[:, 0]
                 for i in is_far.nonzero()[:, 0].tolist():
                     passes[i] = iter(())
-        names = *ActorLoss._fields, "value_loss"
-        said = self.checked(names, sums / n_updates[:, 0])
+        n_updates = sums[4].tolist()
+        said = self.checked((*ActorLoss._fields, "value_loss"), sums[:4] / sums[4])
         for i, row in said.items():
-            self.write(i)
-            row |= self.learners[i].after_update(*mine[i], int(n_updates[i]))
+            row |= self.learners[i].after_update(*each[i], int(n_updates[i]))
         return said
 
-    def _step(
-        self, batch: Transitions, rows: Tensor, learns: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _step(self, batch: Transitions, rows: Tensor, learns: Tensor) -> Tensor:
         """Take an Adam step of critics, and of actors that learn, on a minibatch of each run.
 
         `rows` (E, n) are -1 where a run has fewer than others. Returns policy loss, KL estimate,
-        clipped fraction and value loss, (4, E), and where there is any, (E, 1).
+        clipped fraction and value loss, and 1 where there is any row, (5, E).
         """
         has_row = rows >= 0
-        is_any = has_row.any(dim=1, keepdim=True).float()
+        is_any = has_row[:, :1].float()
         share = has_row / has_row.sum(dim=1, keepdim=True).clamp(min=1)
-        batch = Transitions(*(part[self.e, rows.clamp(min=0)] for part in batch))
+        batch = Transitions(*(part[self.e, rows] for part in batch))
         normal = torch.distributions.Normal(
             self.actor(batch.obs), self._std(), validate_args=False
         )
@@ -502,15 +477,15 @@ class BatchPPO(BatchLearner):
             log_prob - batch.log_prob, batch.advantages, self.config.clip_range
         )
         errors = (self.critic(batch.obs)[..., 0] - batch.returns).square()
-        parts = [*result, errors]
-        stats = torch.stack([(part * share).sum(dim=1) for part in parts])
+        stats = torch.stack([(part * share).sum(dim=1) for part in (*result, errors)])
         for networks in self.networks:
             networks.zero_grad()
-        (stats[0].sum() + stats[3].sum()).backward()  # type: ignore[no-untyped-call]
+        stats[[0, 3]].sum().backward()  # type: ignore[no-untyped-call]
         self._take_step(self.actors, is_any * learns)
         self._take_step([self.critic], is_any)
-        stats = stats.detach()
-        return torch.cat([stats[:3] * learns[:, 0], stats[3:]]), is_any
+        stats = torch.cat([stats.detach(), is_any.T])
+        stats[:3] *= learns.T
+        return stats
 
     def _take_step(self, parts: Sequence[Networks], on: Tensor) -> None:
         """Take an Adam step in the runs where `on` is 1; gradients of all parts are clipped as one."""
@@ -533,22 +508,16 @@ class BatchDDPGHER(BatchLearner):
         """Stack critics and target networks, and what networks see of the replays."""
         config, singles = self.config, self.learners
         self.n_tests = config.n_test_rollouts * config.n_rollouts
-        with_actions = self.columns(self.n_goal + self.n_actions)
-        self.critic = self.stacked("critic", with_actions, "critic_adam")
-        targets = (
-            self.stacked("target_actor", self.inputs),
-            self.stacked("target_critic", with_actions),
-        )
+        self.critic = self.stacked("critic", "critic_adam")
+        targets = self.stacked("target_actor"), self.stacked("target_critic")
         self.networks = [self.actor, self.critic, *targets]
         # It learns for all: its networks are stacks, so what it computes has the runs in front.
         self.whole = whole = copy.copy(singles[0])
         whole.actor = whole.actor_adam = self.actor
         whole.critic = whole.critic_adam = self.critic
         whole.target_actor, whole.target_critic = targets
-        whole.actor_parameters, whole.critic_parameters = (
-            [self.actor.flat],
-            [self.critic.flat],
-        )
+        whole.actor_parameters = self.actor.parameters()
+        whole.critic_parameters = self.critic.parameters()
         n_steps = singles[0].replay.max_steps + 1
         shape = len(singles), 32, n_steps, self.width + self.n_actions
         self.memory = torch.zeros(shape, device=self.device)  # observations and actions
@@ -571,10 +540,8 @@ class BatchDDPGHER(BatchLearner):
         while max(slots, default=0) >= self.memory.shape[1]:
             more = torch.zeros_like(self.memory)
             self.memory = torch.cat([self.memory, more], dim=1)
-        obs, action = map(torch.from_numpy, self.learners[i].replay.episodes(slots))
-        mine, where = self.memory[i], torch.from_numpy(slots)
-        mine[where, :, : obs.shape[-1]] = obs.to(self.device)
-        mine[where, :, self.width :] = action.to(self.device)
+        rows = torch.from_numpy(self.learners[i].replay.episodes(slots))
+        self.memory[i, slots, :, self.pads[i] :] = rows.to(self.device)
 
     def update(self) -> Rows:
         """Take one cycle's updates of each active run, and move its target networks."""
@@ -588,9 +555,7 @@ class BatchDDPGHER(BatchLearner):
             self._memorize(i, one.new_slots)
             size = n * self.config.batch_size
             drawn[i] = one.replay.relabel(size, one.config.replay_p)
-            factor = one.rescale(drawn[i].reward)
-            for critic in (self.critic, whole.target_critic):
-                critic.scale_outputs(i, factor)
+            one.rescale(drawn[i].reward)
             one.updates += n
         on = self.numbers(i in drawn for i in range(len(singles)))
         for networks in (self.actor, self.critic):

@@ -391,9 +391,7 @@ class DDPGHER(Learner):
         config, n = self.config, self.config.n_batches
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
-        factor = self.rescale(drawn.reward)  # 1 without --normalize-rewards
-        for critic in (self.critic, self.target_critic):
-            critic.scale_outputs(factor)
+        self.rescale(drawn.reward)
         sums = self.learn(self._as_inputs(drawn))
         self.updates += n
         over_ranks = self.comm.sum((sums / n).cpu().double().numpy())
@@ -494,12 +492,12 @@ class DDPGHER(Learner):
             for old, new in zip(target.parameters(), network.parameters(), strict=True):
                 old.lerp_(new, 1.0 - self.config.polyak)
 
-    def rescale(self, rewards: Array) -> float:
+    def rescale(self, rewards: Array) -> None:
         """Follow the rewards that were drawn (n,), of all ranks: their bounds, and a running scale.
 
         The scale is what makes the largest return so far as large as that of a reward of 1 in every
-        step; a relabelled reward may exceed all returns that were played. Returns the factor for the
-        critics' outputs, so that values in the environment's unit stay.
+        step; a relabelled reward may exceed all returns that were played. As it grows, the critics'
+        outputs shrink, so that values in the environment's unit stay.
         """
         mine = rewards.min(), rewards.max(), self._largest_return
         lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)
@@ -507,7 +505,9 @@ class DDPGHER(Learner):
         of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
         scale = self.reward_scale
         extreme = max(-scale.lowest, scale.highest, *largest)
-        return scale.grow(float(extreme) / of_ones)
+        factor = scale.grow(float(extreme) / of_ones)
+        for critic in (self.critic, self.target_critic):
+            critic.scale_outputs(factor)
 
     def _sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""
