@@ -156,9 +156,10 @@ class BatchLearner:
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
 
-        It is Gymnasium's VectorEnv, whose observations are tensors, with autoreset off. Where its info
-        has ``holding``, a step of those worlds is not over: it ends with the call that says so no more,
-        and all actions but its first are ignored. The episode ends with that step.
+        It is Gymnasium's VectorEnv, whose observations are tensors, with autoreset off: it says False of
+        worlds whose episodes have ended. Where its info has ``holding``, a step of those worlds is not
+        over: it ends with the call that says so no more, and all actions but its first are ignored. The
+        episode ends with that step.
         """
         self.learners, self.env = learners, env
         self.n_worlds = env.num_envs // len(learners)
@@ -183,12 +184,9 @@ class BatchLearner:
         self.e = torch.arange(len(learners), device=self.device)[:, None]
         self.pads = [self.n_inputs - one.n_inputs for one in learners]
         """Number of inputs that each run does not have; here they come first, and are zero."""
-        columns = np.arange(self.width + n_goal * (len(self.view) - 1))
-        own, goals = np.split(columns, [self.width])
-        order = [np.append(np.roll(own, pad), goals) for pad in self.pads]
-        self.order = torch.tensor(
-            np.repeat(order, self.n_worlds, axis=0), device=self.device
-        )
+        pads = np.repeat(self.pads, self.n_worlds)[:, None]
+        order = (np.arange(self.width) - pads) % self.width
+        self.order = torch.tensor(order, device=self.device)
         self.failures, self.on = dict[int, str](), list[int]()
         self.actor = self.stacked("actor", "actor_adam")
         self.build()
@@ -339,17 +337,18 @@ class BatchLearner:
             actions[begins, lengths[begins]] = taken[begins]
             on_device = torch.from_numpy(taken.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
-            rewards[every, lengths], *ends = (part.cpu().numpy() for part in results)
-            broken, holds = live & info["diverged"], live & info["holding"]
-            stepped = live & ~(broken | holds)
+            reward, terminates, truncates = (part.cpu().numpy() for part in results)
+            returns = live & ~info["holding"]
+            stepped = returns & ~info["diverged"]
+            rewards[every, lengths] = reward
             lengths += stepped
             seen = self._whole(obs)  # in a hold test, that after the step already
             views[stepped, lengths[stepped]] = seen[stepped]
-            success = np.where(live & ~holds, info["is_success"], success)
-            terminated |= stepped & ends[0]
-            diverged |= broken
-            begins = stepped & ~(ends[0] | ends[1])
-            live = begins | holds
+            success = np.where(returns, info["is_success"], success)
+            terminated |= terminates
+            diverged |= info["diverged"]
+            live = live & ~(terminates | truncates)
+            begins = live & returns
         on_host, episodes = views.cpu().numpy(), dict[int, Episode]()
         for world in rngs:
             i, length = world // n_worlds, lengths[world]
@@ -367,9 +366,9 @@ class BatchLearner:
         return episodes
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
-        """Return what is kept of observations, side by side; what runs do not have comes first."""
-        whole = torch.cat([obs[key] for key in self.view], dim=-1)
-        return whole.take_along_dim(self.order, dim=1)
+        """Return what is kept of observations, where what a run does not have comes first."""
+        own = obs["observation"].take_along_dim(self.order, dim=1)
+        return torch.cat([own, *(obs[key] for key in self.view[1:])], dim=-1)
 
 
 class Draws:
@@ -419,14 +418,14 @@ class BatchPPO(BatchLearner):
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
-        prepared = {i: self.tried(i, self.learners[i].prepare) for i in self.on}
+        prepared: dict[int, Any] = {
+            i: self.tried(i, self.learners[i].prepare) for i in self.on
+        }
         if not self.on:
             return {}
-        any_batch, is_on = (
-            prepared[self.on[0]],
-            [i in self.on for i in range(len(self.e))],
-        )
-        each = [prepared[i] if on else any_batch for i, on in enumerate(is_on)]
+        first, _ = prepared[self.on[0]]
+        nothing: Any = Transitions(*(part[:0] for part in first)), "wait"
+        each = [prepared.get(i) or nothing for i in range(len(self.learners))]
         for networks in self.networks:
             networks.take_rates()
             for i in self.on:
@@ -435,11 +434,8 @@ class BatchPPO(BatchLearner):
         owns = [own._replace(obs=self.padded(own.obs)) for own, _ in each]
         padded = (pad_sequence([*parts], True) for parts in zip(*owns, strict=True))
         batch = Transitions(*padded)
-        learns = self.numbers(
-            on and verdict == "learn"
-            for on, (_, verdict) in zip(is_on, each, strict=True)
-        )
-        passes = [iter(()) for _ in each]
+        learns = self.numbers(verdict == "learn" for _, verdict in each)
+        passes: list[Any] = [iter(()) for _ in each]
         for i in self.on:
             passes[i] = self.learners[i].passes(len(owns[i].obs))
         sums, last = torch.zeros(2, 5, len(each), device=self.device)

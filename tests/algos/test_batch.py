@@ -66,8 +66,8 @@ class PointBatch(gym.vector.VectorEnv):
         return dict.fromkeys(("is_success", "diverged", "holding"), self._over & False) | flags
 
     def step(self, actions):
-        rewards, ends, cuts = np.zeros(self.num_envs, np.float32), self._over.copy(), self._over.copy()
-        success, holding = self._over & False, self._over & False
+        rewards, nowhere = np.zeros(self.num_envs, np.float32), self._over & False
+        ends, cuts, success, holding = (nowhere.copy() for _ in range(4))
         for i, (point, action) in enumerate(zip(self.points, actions.numpy(), strict=True)):
             if self._over[i]:
                 continue
@@ -184,12 +184,15 @@ class Breaks(PointBatch):
 
     def step(self, actions):
         assert actions.isfinite().all()
+        over = self._over.copy()
         obs, reward, *ends, info = super().step(actions)
         if self.what in ("observation", "reward"):
             value = obs["observation"] if self.what == "observation" else reward
             value[torch.from_numpy(self.broken)] = np.nan
         if self.what == "step":
-            info["diverged"] = self.broken
+            info["diverged"] = self.broken & ~over
+            ends[1] |= torch.from_numpy(info["diverged"])
+            self._over |= self.broken
         return obs, reward, *ends, info
 
 
