@@ -13,11 +13,11 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import zip_longest
 from types import SimpleNamespace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -34,7 +34,6 @@ from .rollout import REWARD, Episode, Key, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
-T = TypeVar("T")
 Rows = dict[int, dict[str, float]]  # of the progress table, by run
 Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
 Run = tuple[nn.Module, torch.optim.Adam | None]
@@ -42,9 +41,10 @@ Run = tuple[nn.Module, torch.optim.Adam | None]
 
 def alike(config: Any) -> tuple[Any, ...]:
     """Return what configurations of one batch have in common: all but the values of floats."""
-    values = vars(config).items()
-    fixed = ((name, "" if isinstance(x, float) else x) for name, x in values)
-    return type(config), *fixed
+    return type(config), *(
+        (name, "" if isinstance(value, float) else value)
+        for name, value in vars(config).items()
+    )
 
 
 # -- networks --------------------------------------------------------------------------------
@@ -64,9 +64,9 @@ class Networks:
     def __init__(self, runs: Sequence[Run], device: torch.device) -> None:
         """Stack the module of each run, with its Adam."""
         self.runs = runs
-        each = [[*module.parameters()] for module, _ in runs]
-        widest = max(each, key=lambda parameters: parameters[0].numel())
-        self.shapes = [p.t().shape for p in widest]
+        modules = (module for module, _ in runs)
+        widest = max(modules, key=lambda module: next(module.parameters()).numel())
+        self.shapes = [p.t().shape for p in widest.parameters()]
         self.sizes = [*map(math.prod, self.shapes)]
         self.rows = torch.zeros(3, len(runs), sum(self.sizes), device=device)
         self.flat = self.rows[0]
@@ -84,15 +84,14 @@ class Networks:
         own = self.rows[:, i, -sum(sizes) :].split(sizes, dim=1)  # type: ignore[no-untyped-call]
         for p, numbers in zip(parameters, own, strict=True):
             state = adam.state[p] if adam else {}
-            before = p, *(state.get(name, 0.0) for name in MOMENTS)
-            views = [row.view(p.t().shape).t() for row in numbers]
-            for view, values in zip(views, before, strict=True):
-                view[...] = values
+            value, *moments = (row.view(p.t().shape).t() for row in numbers)
+            value[...] = p
+            p.data = value
+            for name, moment in zip(MOMENTS, moments, strict=True):
+                moment[...] = state.get(name, 0.0)
+                state[name] = moment
             self.n_steps[i] = state.get("step", 0.0)
-            p.data, *moments = views
-            state |= {"step": self.n_steps[i, 0]} | dict(
-                zip(MOMENTS, moments, strict=True)
-            )
+            state["step"] = self.n_steps[i, 0]
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return what MLPs return (E, n, outputs) for inputs (E, n, width)."""
@@ -146,8 +145,6 @@ class BatchLearner:
 
     view: ClassVar[Sequence[str]]
     """Parts of observations that a single learner keeps; networks see the first two."""
-    stats: ClassVar[Sequence[str]]
-    """Names of the normalizers of what networks see."""
     n_tests = 0
     """Number of episodes of a test at the end of an epoch."""
     networks: Sequence[Networks]
@@ -156,10 +153,10 @@ class BatchLearner:
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
 
-        It is Gymnasium's VectorEnv, whose observations are tensors, with autoreset off: it says False of
-        worlds whose episodes have ended. Where its info has ``holding``, a step of those worlds is not
-        over: it ends with the call that says so no more, and all actions but its first are ignored. The
-        episode ends with that step.
+        It is Gymnasium's VectorEnv with autoreset off, whose observations are tensors; of worlds whose
+        episodes have ended, it says False. Where its info has ``holding``, a step of those worlds is
+        not over: it ends with the call that says so no more, and all actions but its first are ignored.
+        The episode ends with that step.
         """
         self.learners, self.env = learners, env
         self.n_worlds = env.num_envs // len(learners)
@@ -177,10 +174,8 @@ class BatchLearner:
         self.width, n_goal = (
             spaces[key].shape[0] for key in ("observation", "desired_goal")
         )
-        self.n_inputs, self.n_actions = (
-            self.width + n_goal,
-            env.single_action_space.shape[0],
-        )
+        self.n_inputs = self.width + n_goal
+        (self.n_actions,) = env.single_action_space.shape
         self.e = torch.arange(len(learners), device=self.device)[:, None]
         self.pads = [self.n_inputs - one.n_inputs for one in learners]
         """Number of inputs that each run does not have; here they come first, and are zero."""
@@ -197,20 +192,13 @@ class BatchLearner:
 
     def look(self) -> None:
         """Scale what networks are given as the single learners' normalizers now do."""
-        each = list[Tensor]()
-        for one in self.learners:
-            stats = (getattr(one, name).scaling() for name in self.stats)
-            parts = [torch.stack([*scaling]) for scaling in stats]
-            each.append(self.padded(torch.cat(parts, dim=1)))
-        self.scale = Scaling(*torch.stack(each, dim=1)[:, :, None].to(self.device))
+        scalings = (torch.stack([*one.scaling()]) for one in self.learners)
+        each = torch.stack([*map(self.padded, scalings)], dim=1)
+        self.scale = Scaling(*each[:, :, None].to(self.device))
 
     def padded(self, own: Tensor) -> Tensor:
         """Return values (..., n) of a run's own inputs with zeros for those of others before them."""
         return nn.functional.pad(own, (self.n_inputs - own.shape[-1], 0))
-
-    def scaled(self, seen: Tensor) -> Tensor:
-        """Return what networks are given for observations and goals side by side, (E, n, ...)."""
-        return self.scale(seen)
 
     def explore(self, rngs: Rngs) -> Noise:
         """Return the exploration of an episode in each of some worlds, with their generators."""
@@ -231,10 +219,10 @@ class BatchLearner:
         return [
             i
             for i, one in enumerate(self.learners)
-            if one.env_steps < one.total_timesteps and i not in self.failures
+            if one.progress_remaining > 0.0 and i not in self.failures
         ]
 
-    def tried(self, i: int, function: Callable[..., T], *args: Any) -> T | None:
+    def tried(self, i: int, function: Callable[..., Any], *args: Any) -> Any:
         """Return what a function returns; where it raises DivergenceError, run `i` has failed."""
         try:
             return function(*args)
@@ -258,6 +246,8 @@ class BatchLearner:
         self.on = self.active
         for i in self.on:
             self.learners[i].begin()
+        for networks in self.networks:
+            networks.take_rates()
         episodes = self.play({i: self.learners[i].key(rollout.TRAIN) for i in self.on})
         rows = Rows()
         for i in self.on:
@@ -268,14 +258,15 @@ class BatchLearner:
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
         played = self.play(keys, n)
-        return {
-            i: summary(mine) for i, mine in played.items() if i not in self.failures
-        }
+        return {i: summary(played[i]) for i in played.keys() - self.failures}
 
     def test(self, runs: Iterable[int]) -> Rows:
         """Return how good these runs are without exploration, where their learner tests that."""
-        playing = [i for i in runs if self.n_tests and i not in self.failures]
-        keys = {i: self.learners[i].key(rollout.TEST) for i in playing}
+        keys = {
+            i: self.learners[i].key(rollout.TEST)
+            for i in runs
+            if self.n_tests and i not in self.failures
+        }
         return {i: tested(row) for i, row in self.play_best(keys, self.n_tests).items()}
 
     @torch.no_grad()
@@ -287,27 +278,28 @@ class BatchLearner:
         Or `n` episodes of each, without exploration.
         """
         self.look()
-        episodes = {i: list[Episode]() for i in keys}
+        episodes, first = {i: list[Episode]() for i in keys}, 0
 
         def wants_more(i: int) -> bool:
             if n is not None:
                 return len(episodes[i]) < n
             return bool(self.tried(i, self.learners[i].wants_more, episodes[i]))
 
-        wanted, first = [*keys], 0
-        while wanted:
-            now = {i: keys[i] for i in wanted}
-            for world, episode in self._wave(now, first, n is None).items():
-                if wants_more(i := world // self.n_worlds):
+        while keys:
+            for i, episode in self._wave(keys, first, n is None):
+                if wants_more(i):
                     episodes[i].append(episode)
-            wanted = [*filter(wants_more, wanted)]
+            keys = {i: key for i, key in keys.items() if wants_more(i)}
             first += self.n_worlds
         return episodes
 
     def _wave(
         self, keys: Mapping[int, Key], first: int, explores: bool
-    ) -> dict[int, Episode]:
-        """Play one episode, number `first` and following, in each world of the runs with keys."""
+    ) -> Iterator[tuple[int, Episode]]:
+        """Play an episode, number `first` and following, in each world of the runs with keys.
+
+        Yields them by run.
+        """
         env, n_worlds = self.env, self.n_worlds
         rngs = {
             i * n_worlds + w: np.random.default_rng([*key, first + w])
@@ -315,24 +307,20 @@ class BatchLearner:
             for w in range(n_worlds)
         }
         every = np.arange(env.num_envs)
-        seeds: list[int | None] = [None] * len(every)
-        for world, rng in rngs.items():
-            seeds[world] = int(rng.integers(2**31))
+        seeds = [int(rngs[w].integers(2**31)) if w in rngs else None for w in every]
         explore: Noise = self.explore(rngs) if explores else np.asarray
         begins = live = np.isin(every, [*rngs])
         seen = self._whole(env.reset(seed=seeds, options={"reset_mask": live})[0])
         # Rows of a world from its length on mean nothing.
         shape = len(every), env.max_episode_steps + 1
-        views, lengths = (
-            seen.new_zeros(*shape, seen.shape[1]),
-            np.zeros(len(every), int),
-        )
+        views = seen.new_zeros(*shape, seen.shape[1])
+        views[:, 0], lengths = seen, np.zeros(len(every), int)
         actions = np.zeros((*shape, self.n_actions), np.float32)
-        views[:, 0], rewards = seen, np.zeros(shape)
+        rewards = np.zeros(shape)
         success, terminated, diverged = (live & False for _ in range(3))
         while live.any():
             by_run = seen[:, : self.n_inputs].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
-            chosen = self.actor(self.scaled(by_run)).flatten(0, 1)
+            chosen = self.actor(self.scale(by_run)).flatten(0, 1)
             taken = np.nan_to_num(explore(chosen.cpu().numpy()))  # of runs that fail
             actions[begins, lengths[begins]] = taken[begins]
             on_device = torch.from_numpy(taken.clip(-1.0, 1.0)).to(seen.device)
@@ -349,11 +337,13 @@ class BatchLearner:
             diverged |= info["diverged"]
             live = live & ~(terminates | truncates)
             begins = live & returns
-        on_host, episodes = views.cpu().numpy(), dict[int, Episode]()
+        on_host = views.cpu().numpy()
         for world in rngs:
             i, length = world // n_worlds, lengths[world]
             mine: Any = on_host[world, : length + 1, self.pads[i] :]
-            episodes[world] = Episode(
+            self.tried(i, finite, mine, OBS)
+            self.tried(i, finite, rewards[world, :length], REWARD)
+            episode = Episode(
                 obs=mine,
                 actions=actions[world, :length],  # type: ignore[arg-type]
                 rewards=rewards[world, :length].tolist(),
@@ -361,9 +351,7 @@ class BatchLearner:
                 success=float(success[world]),
                 faults={"diverged": int(diverged[world]), "warnings": 0},
             )
-            self.tried(i, finite, mine, OBS)
-            self.tried(i, finite, episodes[world].rewards, REWARD)
-        return episodes
+            yield i, episode
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
         """Return what is kept of observations, where what a run does not have comes first."""
@@ -395,7 +383,7 @@ class Draws:
 class BatchPPO(BatchLearner):
     """Learn E runs by PPO."""
 
-    view, stats = SEEN, ("obs_stats",)
+    view = SEEN
 
     def build(self) -> None:
         """Stack standard deviations of actors, and critics."""
@@ -413,21 +401,18 @@ class BatchPPO(BatchLearner):
     def explore(self, rngs: Rngs) -> Noise:
         parts = self._std()[:, 0], self.config.noise_correlation
         by_world = (part.cpu().numpy().repeat(self.n_worlds, axis=0) for part in parts)
-        draws: Any = Draws(rngs, self.env.max_episode_steps)
-        return GaussianNoise(draws, *by_world)
+        draws = Draws(rngs, self.env.max_episode_steps)
+        return GaussianNoise(draws, *by_world)  # type: ignore[arg-type]
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
-        prepared: dict[int, Any] = {
-            i: self.tried(i, self.learners[i].prepare) for i in self.on
-        }
+        prepared = {i: self.tried(i, self.learners[i].prepare) for i in self.on}
         if not self.on:
             return {}
         first, _ = prepared[self.on[0]]
         nothing: Any = Transitions(*(part[:0] for part in first)), "wait"
         each = [prepared.get(i) or nothing for i in range(len(self.learners))]
         for networks in self.networks:
-            networks.take_rates()
             for i in self.on:
                 if each[i][1] == "undo":  # which gives Adams memory of their own
                     networks.take_in(i)
@@ -441,7 +426,7 @@ class BatchPPO(BatchLearner):
         sums, last = torch.zeros(2, 5, len(each), device=self.device)
         while any(minibatches := [next(each, ()) for each in passes]):
             for parts in zip_longest(*minibatches, fillvalue=self.e[0, :0]):
-                rows = pad_sequence([*parts], True, -1)
+                rows = pad_sequence(parts, True, -1)  # type: ignore[arg-type]
                 stats = self._step(batch, rows, learns)
                 sums += stats
                 last = torch.where(stats[4] == 1, stats, last)
@@ -449,10 +434,9 @@ class BatchPPO(BatchLearner):
                 is_far = last[1] > self.config.target_kl[:, 0]
                 for i in is_far.nonzero()[:, 0].tolist():
                     passes[i] = iter(())
-        n_updates = sums[4].tolist()
         said = self.checked((*ActorLoss._fields, "value_loss"), sums[:4] / sums[4])
         for i, row in said.items():
-            row |= self.learners[i].after_update(*each[i], int(n_updates[i]))
+            row |= self.learners[i].after_update(*each[i], int(sums[4, i]))
         return said
 
     def _step(self, batch: Transitions, rows: Tensor, learns: Tensor) -> Tensor:
@@ -486,8 +470,7 @@ class BatchPPO(BatchLearner):
     def _take_step(self, parts: Sequence[Networks], on: Tensor) -> None:
         """Take an Adam step in the runs where `on` is 1; gradients of all parts are clipped as one."""
         gradients: Any = [networks.flat.grad for networks in parts]
-        squares = [g.square().sum(dim=1, keepdim=True) for g in gradients]
-        norm = torch.stack(squares).sum(dim=0).sqrt()
+        norm = torch.cat(gradients, dim=1).norm(dim=1, keepdim=True)
         share = (self.config.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
         for networks, gradient in zip(parts, gradients, strict=True):
             gradient *= share
@@ -498,7 +481,7 @@ class BatchPPO(BatchLearner):
 class BatchDDPGHER(BatchLearner):
     """Learn E runs by DDPG with hindsight."""
 
-    view, stats = VIEW, ("obs_stats", "goal_stats")
+    view = VIEW
 
     def build(self) -> None:
         """Stack critics and target networks, and what networks see of the replays."""
@@ -520,16 +503,11 @@ class BatchDDPGHER(BatchLearner):
         for i, one in enumerate(singles):
             self._memorize(i, np.arange(one.replay.n_episodes))
 
-    def scaled(self, seen: Tensor) -> Tensor:
-        limit = self.config.clip_obs[..., None]
-        return super().scaled(seen.clamp(-limit, limit))
-
     def explore(self, rngs: Rngs) -> Noise:
         acting = [one.config.acting(one.progress_remaining) for one in self.learners]
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in acting]
-        by_world = np.repeat(values, self.n_worlds, axis=0)
-        draws: Any = Draws(rngs)
-        return Exploration(draws, *np.split(by_world, 3, axis=1))
+        columns = np.split(np.repeat(values, self.n_worlds, axis=0), 3, axis=1)
+        return Exploration(Draws(rngs), *columns)  # type: ignore[arg-type]
 
     def _memorize(self, i: int, slots: Array) -> None:
         """Copy episodes of a run's replay to the device."""
@@ -556,7 +534,6 @@ class BatchDDPGHER(BatchLearner):
         on = self.numbers(i in drawn for i in range(len(singles)))
         for networks in (self.actor, self.critic):
             networks.on = on
-            networks.take_rates()
         polyak = torch.where(on == 1, self.config.polyak, 1.0)
         whole.config = dataclasses.replace(self.config, polyak=polyak)
         whole.action_l2 = self.numbers(one.action_l2 for one in singles)[:, 0]
@@ -571,14 +548,19 @@ class BatchDDPGHER(BatchLearner):
 
     def _batch(self, drawn: Mapping[int, Relabelled]) -> Batch:
         """Return drawn transitions (E, n, ...); of runs that are off, any."""
-        first = next(iter(drawn.values()))
-        each = [drawn.get(i, first) for i in range(len(self.learners))]
-        stacks = (torch.from_numpy(np.stack(part)) for part in zip(*each, strict=True))
-        one = Relabelled(*(part.to(self.device) for part in stacks))
-        rows = [self.memory[self.e, one.slot, one.step + k] for k in (0, 1)]
-        whole = (torch.cat([r[..., : self.width], one.goal], dim=-1) for r in rows)
-        obs, next_obs = map(self.scaled, whole)
-        action = rows[0][..., self.width :]
+        each = [drawn.get(i, drawn[self.on[0]]) for i in range(len(self.learners))]
+        one = Relabelled(
+            *(
+                torch.as_tensor(np.stack(part), device=self.device)
+                for part in zip(*each, strict=True)
+            )
+        )
+        now, then = (self.memory[self.e, one.slot, one.step + k] for k in (0, 1))
+        obs, next_obs = (
+            self.scale(torch.cat([rows[..., : self.width], one.goal], dim=-1))
+            for rows in (now, then)
+        )
+        action = now[..., self.width :]
         return Batch(obs, one.goal, action, one.reward, next_obs, one.terminal)
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import is_dataclass, replace
-from functools import partial
+from functools import cache, partial
+from importlib.util import find_spec
 from operator import itemgetter
 from typing import Any
 
@@ -26,7 +27,7 @@ from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv, checked
 from .hold import Trial
 from .objects import KINDS, host, like, namespace
 from .observations import OF_HAND, TAXELS, Observer
-from .simulators import batch as simulators
+from .simulators.batch import BatchSimulator
 from .state import Array, State
 from .validation import require_one_of
 
@@ -89,19 +90,25 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             allowed = ", ".join(sorted(BY_GROUP))
             raise ValueError(f"groups: found scenes that differ, allowed in: {allowed}")
         self.num_envs = n = sum(sizes)
-        kinds = [*map(_without_idle_seed, configs)]
-        envs = {kind: GraspEnv(hand, kind) for kind in dict.fromkeys(kinds)}
-        self.singles = [envs[kind] for kind in kinds]
+        make = cache(GraspEnv)  # groups that differ in nothing share one
+        self.singles = [make(hand, _without_idle_seed(config)) for config in configs]
         """The environment of each group, which plays a world of it alone."""
         single = self.singles[0]
         self.config, self.hand, self.task = single.config, single.hand, single.task
         self.max_episode_steps = single.max_episode_steps
-        self.simulator = simulators.make(single.simulator.scene, n, device)
+        require(device)
+        scene = single.simulator.scene
+        if device == "loop":
+            self.simulator = BatchSimulator(scene, n)
+        else:
+            from .simulators.warp import WarpSimulator
+
+            self.simulator = WarpSimulator(scene, n, device)
         self.device, tensor = self.simulator.device, self.simulator.tensor
-        of_world = np.repeat(self.singles, sizes)
+        of_world: Any = np.repeat(np.array(self.singles, object), sizes)
         self._observers = [
             (np.flatnonzero(of_world == env), _converted(env._observer, tensor))
-            for env in envs.values()
+            for env in dict.fromkeys(self.singles)
         ]
         """Worlds (k,) of one layout, kind of touch and hand, and what observes for them."""
         self._autoreset = autoreset
@@ -120,7 +127,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._trial = Trial(self.task.hold, self.config.timestep)
         goals = np.zeros((2, n, self.task.goal_size), np.float32)
         self._achieved, self._desired = goals
-        shape = self.observation_space["observation"].shape
+        shape = n, *widest["observation"].shape
         self._obs = torch.zeros(shape, device=self.device)
         self.n_diverged = 0
         """Episodes that ended so, since the batch was made."""
@@ -149,7 +156,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 self._rngs[i] = np.random.default_rng(int(seeds[i]))
         self._begin(mask)
         self._observe(*self._look(), mask, mask)
-        return self._results(), self._info(np.zeros(n, bool), np.zeros(n, bool))
+        return self._results(), self._info(mask & False, mask & False)
 
     def _begin(self, mask: Array) -> None:
         """Put worlds at the start of their next episodes."""
@@ -223,15 +230,14 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     def _advance(self, actions: Array, playing: Array) -> None:
         """Run the physics of a step, and of a hold test until its next look."""
-        self._steps[playing] += 1
+        self._steps += playing
         self._targets[playing] = self.hand.action_map(actions, self._targets)[playing]
         self._give(np.where(playing, self._steps, -1))
         holding, trial, targets = self._holding, self._trial, self._targets.copy()
         self.simulator.set_creep(np.where(holding, trial.creep, 1.0))
-        n_usual = np.where(playing, self.config.n_substeps, 0)
         n_rising = _in_some(holding, trial.rise)
         targets[:, 2] = np.where(holding, trial.slide, targets[:, 2])
-        n_substeps = np.where(holding, n_rising, n_usual)
+        n_substeps = np.where(holding, n_rising, playing * self.config.n_substeps)
         self.simulator.step(targets, n_substeps.astype(int))
 
     def _observe(self, state: State, truth: State, which: Array, first: Array) -> Array:
@@ -274,6 +280,19 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _info(self, success: Array, diverged: Array) -> dict[str, Any]:
         holding = self._holding.copy()
         return {"is_success": success, "diverged": diverged, "holding": holding}
+
+
+def require(device: str) -> None:
+    """Raise ValueError where there is no such device, ImportError without MuJoCo Warp."""
+    if device != "loop" and find_spec("mujoco_warp") is None:  # which needs warp itself
+        raise ImportError(
+            "found no MuJoCo Warp, which a GPU needs: pip install 'tactilerl[gpu]'"
+        )
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ValueError(
+            f"device: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
+            "GPU, its driver, and PyTorch for CUDA (https://pytorch.org/get-started)"
+        )
 
 
 def _without_idle_seed(config: GraspConfig) -> GraspConfig:

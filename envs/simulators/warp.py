@@ -28,7 +28,7 @@ N_CONTACTS, N_ROWS = 48, 160
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
 BY_WORLD = (
     "geom_size", "geom_rbound", "geom_aabb", "geom_friction", "body_mass", "body_inertia",
-    "body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_gainprm", "actuator_biasprm",
+    "body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_forcerange",
     "actuator_actrange", "geom_solref",
 )  # fmt: skip
 SHARED = (
@@ -48,7 +48,7 @@ class WarpSimulator(BatchSimulator):
         self.scene, self.n, self.kind = scene, n, scene.shape.kind
         self.device, self._device = torch.device(device), warp.get_device(device)
         self.plain = plain = MujocoSimulator(scene)
-        host, springs = plain.model, plain._giver
+        host = plain.model
         # MuJoCo Warp has neither.
         host.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         host.opt.disableactuator &= ~(1 << GIVERS_GROUP)
@@ -65,15 +65,11 @@ class WarpSimulator(BatchSimulator):
         # Memory that Warp and PyTorch share, (n, ...).
         self._creep = warp.to_torch(model.opt.impratio_invsqrt)
         self._own = {name: warp.to_torch(getattr(model, name)) for name in BY_WORLD}
-        shared = {name: warp.to_torch(getattr(self._data, name)) for name in SHARED}
-        self._now = SimpleNamespace(**shared)
+        now = {name: warp.to_torch(getattr(self._data, name)) for name in SHARED}
+        self._now = SimpleNamespace(**now)
         self._graphs: dict[Any, Any] = {}
         self._run(mujoco_warp.step)
         self._run(mujoco_warp.kinematics)
-        self._stiff = {
-            name: self._own[name][0, springs].clone()
-            for name in ("actuator_gainprm", "actuator_biasprm")
-        }
         self._link_of = self.tensor(host.geom_bodyid - 1)  # -1: the world's
         self._half_size = self.tensor(np.tile(scene.shape.half_size, (n, 1)))
         self._contacts = self._contacts_now()
@@ -110,8 +106,9 @@ class WarpSimulator(BatchSimulator):
         ):
             own[name][index] = self.tensor(value)
         with warp.ScopedDevice(self._device):  # bounds follow from sizes
-            bounds = mujoco_warp.SetConstGroup.FIXED
-            mujoco_warp.set_const(self._model, self._data, bounds)
+            mujoco_warp.set_const(
+                self._model, self._data, mujoco_warp.SetConstGroup.FIXED
+            )
         if skin := self.scene.skin:
             solref = skin.solref(plain._ease + ease[:, None], self.scene.timestep)
             skins = which[:, None], plain._skin
@@ -156,23 +153,20 @@ class WarpSimulator(BatchSimulator):
         plain, goals, at = self.plain, self.tensor(goal), which[:, None]
         body, springs, now = plain._object_body, plain._giver, self._now
         position = now.xpos[which, body]
-        for name, value in self._stiff.items():
-            self._own[name][at, springs] = value
+        giver: Any = self.scene.giver
+        both_ways = self.tensor([-giver.force, giver.force])
+        self._own["actuator_forcerange"][at, springs] = both_ways
         both = torch.stack([position, goals], -1)
         self._own["actuator_actrange"][at, springs] = both.sort(-1).values
         now.act[at, plain.model.actuator_actadr[springs]] = position
-        way = goals - position
-        giver: Any = self.scene.giver
-        now.ctrl[at, springs] = giver.speed * torch.nn.functional.normalize(
-            way, eps=1e-9
-        )
+        way = torch.nn.functional.normalize(goals - position, eps=1e-9)
+        now.ctrl[at, springs] = giver.speed * way
         weight = float(plain.model.opt.gravity[2]) * self._own["body_mass"][which, body]
         now.xfrc_applied[which, body, 2] = -weight
 
     def let_go(self, which: Array) -> None:
-        """Make the givers' springs slack."""
-        for name in self._stiff:
-            self._own[name][which[:, None], self.plain._giver] = 0.0
+        """Make the givers' springs slack: what has no force has no stiffness either."""
+        self._own["actuator_forcerange"][which[:, None], self.plain._giver] = 0.0
         self._now.xfrc_applied[which, self.plain._object_body] = 0.0
 
     def set_creep(self, factor: Array) -> None:
@@ -212,7 +206,7 @@ class WarpSimulator(BatchSimulator):
         world, geoms, address, pos, frame = (
             warp.to_torch(getattr(found, name))[:n] for name in names
         )
-        world, geoms, address = world.long(), geoms.long(), address[:, 0].long()
+        world, address = world.long(), address[:, 0]
         force = warp.to_torch(self._data.efc.force)[world, address]
         is_second = geoms[:, 1] == held
         link = self._link_of[torch.where(is_second, geoms[:, 0], geoms[:, 1])]
@@ -222,8 +216,7 @@ class WarpSimulator(BatchSimulator):
         worlds = torch.arange(self.n, device=self.device)
         first = torch.searchsorted(world[rows], worlds)
         place = torch.arange(len(rows), device=self.device) - first[world[rows]]
-        fits = place < MAX_CONTACTS
-        rows, place = rows[fits], place[fits]
+        place.clamp_(max=MAX_CONTACTS - 1)  # further ones replace each other
         sign = torch.where(is_second, 1.0, -1.0)[:, None]
         parts = []
         for values in (pos, link, force, sign * frame[:, 0]):

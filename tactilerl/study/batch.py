@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,9 +22,7 @@ from .. import algos
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
 from ..envs import tasks, vector
-from ..envs.batch import BatchEnv, shared
-from ..envs.grasp import GraspConfig
-from ..envs.simulators import batch as simulators
+from ..envs.batch import BatchEnv, require, shared
 from ..errors import InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
@@ -35,14 +33,14 @@ from .records import StudyFiles
 
 DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
 MAX_WORLDS = 16_384  # of a batch
-SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
+SAVE_EVERY = 60.0  # s
 SPARE = 1.25  # worlds for episodes that end early
 
 
 def require_device() -> None:
     """Raise InputError naming what is missing for `--on gpu`."""
     with input_errors("--on gpu"):
-        simulators.require(DEVICE)
+        require(DEVICE)
 
 
 # -- the study's side ------------------------------------------------------------------------
@@ -50,7 +48,8 @@ def require_device() -> None:
 
 def n_worlds(config: RunConfig) -> int:
     """Return how many worlds a run plays in: an epoch's or cycle's episodes at once."""
-    learner, scene = config.learner, cast(GraspConfig, config.scene)
+    learner, scene = config.learner, config.scene
+    assert scene is not None
     if hasattr(learner, "n_rollouts"):
         return int(learner.n_rollouts)
     longest = scene.max_episode_steps or tasks.TASKS[scene.task].max_episode_steps
@@ -65,11 +64,12 @@ def form(runs: Sequence[Run]) -> tuple[list[tuple[Run, ...]], list[tuple[Run, st
             groups[_common(run.config())].append(run)
         except ValueError as error:
             others.append((run, str(error)))
-    batches = list[tuple[Run, ...]]()
-    for members in groups.values():
-        size = max(1, MAX_WORLDS // n_worlds(members[0].config()))
-        for i in range(0, len(members), size):
-            batches.append((*members[i : i + size],))
+    batches = [
+        (*members[i : i + size],)
+        for members in groups.values()
+        for size in [max(1, MAX_WORLDS // n_worlds(members[0].config()))]
+        for i in range(0, len(members), size)
+    ]
     return batches, others
 
 
@@ -79,8 +79,8 @@ def _common(config: RunConfig) -> Any:
         raise ValueError(f"env: found {config.run.env}, allowed a hand")
     if algos.get(config.run.algo)[1] not in learners.BATCHED:
         raise ValueError(f"algo: found {config.run.algo}, which has no batched form")
-    run = config.run.env, config.run.n_test_episodes
-    return run, learners.alike(config.learner), shared(config.scene)
+    run, scene = config.run, shared(config.scene)
+    return run.env, run.n_test_episodes, learners.alike(config.learner), scene
 
 
 # -- a batch's process -----------------------------------------------------------------------
@@ -109,8 +109,6 @@ class _Member:
     epoch: int
     rows: list[training.Row] = field(default_factory=list)
     """Rows that are not in its table yet."""
-    success: float = math.nan
-    """The rate of its last epoch."""
 
 
 class _Training:
@@ -132,7 +130,7 @@ class _Training:
             "the cache yet, they are compiled, which takes two to three minutes"
         )
         device = DEVICE if DEVICE == "loop" else torch.cuda.get_device_name()
-        about = {"runs": len(runs), "device": device, "worlds": n * len(runs)}
+        about = {"runs": len(runs), "device": device}
         algorithm = algos.get(first.run.algo)[1]
         with input_errors():
             groups: Any = [(config.place[1], n) for config in configs]
@@ -145,13 +143,7 @@ class _Training:
                 self.members.append(_Member(run, checkpoint, epoch))
         singles = [one.checkpoint.learner for one in self.members]
         self.learner = learners.BATCHED[algorithm](singles, env)
-        self.begin = self.saved = self.shown = time.monotonic()
-        self.steps_before = self.steps
-
-    @property
-    def steps(self) -> int:
-        """The steps of all runs so far."""
-        return sum(one.env_steps for one in self.learner.learners)
+        self.saved = time.monotonic()
 
     def train(self) -> int:
         """Train until all runs have their steps, or have failed; return the exit code."""
@@ -160,15 +152,16 @@ class _Training:
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
         self.save()
-        self.show()
         return int(bool(self.learner.failures))
 
     def epoch(self) -> None:
-        """Play one epoch of each active run and learn from it, as `training` does with one."""
+        """Play one epoch of each active run and learn from it, as `training` does; print a line."""
         learner, begin = self.learner, time.perf_counter()
         singles, n_tests = learner.learners, self.n_test_episodes
         before = {i: singles[i].env_steps for i in learner.active}
-        collected, learned, seconds = training.cycles(learner, self.goes_on)
+        collected, learned, seconds = training.cycles(
+            learner, lambda: bool(learner.active)
+        )
         tests, spent = learner.test(before), time.perf_counter() - begin
         played = before.keys() - learner.failures
         ended = played - {*learner.active} if n_tests else ()
@@ -176,6 +169,7 @@ class _Training:
         finals = learner.play_best(dict.fromkeys(ended, key), n_tests)
         # A run's share of the batch's time, so that the sum over runs is what was spent.
         shares = [each / len(singles) for each in seconds]
+        latest = list[training.Row]()
         for i in played:
             one, steps = self.members[i], singles[i].env_steps
             one.epoch += 1
@@ -184,15 +178,24 @@ class _Training:
             )
             speed = (steps - before[i]) / spent
             row = training.table_row(said, read, shares, tests.get(i, {}), speed)
-            one.success = row["success_rate"]
-            row |= {FINAL_TEST: finals[i]["success_rate"] if i in finals else ""}
-            one.rows.append({"epoch": one.epoch, "env_steps": steps, **row})
+            final = finals[i]["success_rate"] if i in finals else ""
+            row = {"epoch": one.epoch, "env_steps": steps, **row, FINAL_TEST: final}
+            one.rows.append(row)
+            latest.append(row)
+        if latest:
+            self.show(latest)
 
-    def goes_on(self) -> bool:
-        """Return whether an epoch's next cycle begins; print a line now and then."""
-        if time.monotonic() - self.shown > SHOW_EVERY:
-            self.show()
-        return bool(self.learner.active)
+    def show(self, latest: Sequence[training.Row]) -> None:
+        """Print a line about all runs, of which some have new rows."""
+        success = np.mean([row["success_rate"] for row in latest])
+        speed = sum(row["steps_per_s"] for row in latest)
+        singles = self.learner.learners
+        steps = sum(one.env_steps for one in singles)
+        total = sum(one.total_timesteps for one in singles)
+        console.print(
+            f"[{self.name}] {len(singles)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
+            f"success {success:.0%}, {about(max(0, total - steps) / speed)} left"
+        )
 
     def save(self) -> None:
         """Write the rows and states of runs that went on since the last time."""
@@ -204,17 +207,3 @@ class _Training:
                 one.checkpoint.save(one.epoch)
                 one.rows.clear()
         self.saved = time.monotonic()
-
-    def show(self) -> None:
-        """Print a line about all runs."""
-        self.shown = time.monotonic()
-        spent, steps = self.shown - self.begin, self.steps
-        total = sum(one.total_timesteps for one in self.learner.learners)
-        speed = (steps - self.steps_before) / spent
-        left = about(max(0, total - steps) / speed) if speed else "?"
-        rates = [one.success for one in self.members if not math.isnan(one.success)]
-        success = f"{np.mean(rates):.0%}" if rates else "not known yet"
-        console.print(
-            f"[{self.name}] {len(self.members)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
-            f"success: {success}, {left} left"
-        )
