@@ -523,17 +523,16 @@ class BatchDDPGHER(BatchLearner):
             return {}
         self.look()
         n, singles, whole = self.config.n_batches, self.learners, self.whole
+        size = n * self.config.batch_size
         drawn = dict[int, Relabelled]()
         for i in self.on:
             one = singles[i]
             self._memorize(i, one.new_slots)
-            size = n * self.config.batch_size
             drawn[i] = one.replay.relabel(size, one.config.replay_p)
             one.rescale(drawn[i].reward)
             one.updates += n
         on = self.numbers(i in drawn for i in range(len(singles)))
-        for networks in (self.actor, self.critic):
-            networks.on = on
+        self.actor.on = self.critic.on = on
         polyak = torch.where(on == 1, self.config.polyak, 1.0)
         whole.config = dataclasses.replace(self.config, polyak=polyak)
         whole.action_l2 = self.numbers(one.action_l2 for one in singles)[:, 0]

@@ -116,7 +116,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": mode}
         self.single_action_space = single.action_space
         self.action_space = batch_space(single.action_space, n)
-        spaces: Any = [one.observation_space for one in self.singles]
+        spaces: Any = (one.observation_space for one in self.singles)
         widest = max(spaces, key=lambda space: space["observation"].shape)
         self.single_observation_space = widest
         self.observation_space = batch_space(widest, n)
@@ -156,7 +156,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 self._rngs[i] = np.random.default_rng(int(seeds[i]))
         self._begin(mask)
         self._observe(*self._look(), mask, mask)
-        return self._results(), self._info(mask & False, mask & False)
+        return self._results(mask & False, mask & False)
 
     def _begin(self, mask: Array) -> None:
         """Put worlds at the start of their next episodes."""
@@ -225,8 +225,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         reward = np.where(returned, self.task.compute_reward(*goals), 0.0)
         success = returned & self.task.is_success(*goals)
         results = reward.astype(np.float32), terminated, truncated
-        info = self._info(success, broken)
-        return self._results(), *map(self._copy, results), info
+        obs, info = self._results(success, broken)
+        return obs, *map(self._copy, results), info
 
     def _advance(self, actions: Array, playing: Array) -> None:
         """Run the physics of a step, and of a hold test until its next look."""
@@ -267,19 +267,18 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     # -- what comes out ----------------------------------------------------------------------
 
-    def _results(self) -> Obs:
-        return {
+    def _results(self, success: Array, diverged: Array) -> tuple[Obs, dict[str, Any]]:
+        """Return observations and info."""
+        obs = {
             "observation": self._obs,
             "achieved_goal": self._copy(self._achieved),
             "desired_goal": self._copy(self._desired),
         }
+        holding = self._holding.copy()
+        return obs, {"is_success": success, "diverged": diverged, "holding": holding}
 
     def _copy(self, values: Array) -> Any:
         return torch.tensor(values, device=self.device)
-
-    def _info(self, success: Array, diverged: Array) -> dict[str, Any]:
-        holding = self._holding.copy()
-        return {"is_success": success, "diverged": diverged, "holding": holding}
 
 
 def require(device: str) -> None:

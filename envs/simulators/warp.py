@@ -216,7 +216,8 @@ class WarpSimulator(BatchSimulator):
         worlds = torch.arange(self.n, device=self.device)
         first = torch.searchsorted(world[rows], worlds)
         place = torch.arange(len(rows), device=self.device) - first[world[rows]]
-        place.clamp_(max=MAX_CONTACTS - 1)  # further ones replace each other
+        fits = place < MAX_CONTACTS
+        rows, place = rows[fits], place[fits]
         sign = torch.where(is_second, 1.0, -1.0)[:, None]
         parts = []
         for values in (pos, link, force, sign * frame[:, 0]):

@@ -230,6 +230,21 @@ def test_tests_are_as_many_as_asked_for(monkeypatch):
     assert many.play_best({0: learner.key(2)}, 7)[0]["episodes"] == 7
 
 
+@pytest.mark.parametrize(("algo", "config"), [("ppo", PPO_CONFIG), ("ddpg_her", HER_CONFIG)])
+def test_what_is_saved_of_a_run_holds_no_other_run(algo, config):
+    """Its networks are parts of the batch's tensors, its state is not."""
+    learners = [single(algo, config, seed, n) for seed, n in ((5, 0), (6, 2))]
+    many = batch.BATCHED[type(learners[0])](learners, PointBatch((0, 2), 2))
+    many.collect(), many.update()
+    for one in learners:
+        state, weight = one.state_dict(), one.critic[0].weight
+        assert weight.untyped_storage().nbytes() > 3 * weight.nbytes
+        for part in ("actor", "critic"):
+            moments = state[f"{part}_adam"]["state"].values()
+            saved = [*state[part].values(), *(x for moment in moments for x in moment.values())]
+            assert all(x.untyped_storage().nbytes() == x.nbytes for x in saved)
+
+
 def test_a_gradient_that_is_off_changes_nothing():
     mlp = single("ppo", PPO_CONFIG, 5, 0).actor
     networks = batch.Networks([(mlp, None)], torch.device("cpu"))
