@@ -13,11 +13,11 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import zip_longest
 from types import SimpleNamespace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -34,7 +34,6 @@ from .rollout import REWARD, Episode, Key, summary
 
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
-T = TypeVar("T")
 Rows = dict[int, dict[str, float]]  # of the progress table, by run
 Rngs = Mapping[int, np.random.Generator]  # of worlds that begin
 Run = tuple[nn.Module, torch.optim.Adam | None]
@@ -42,9 +41,10 @@ Run = tuple[nn.Module, torch.optim.Adam | None]
 
 def alike(config: Any) -> tuple[Any, ...]:
     """Return what configurations of one batch have in common: all but the values of floats."""
-    values = vars(config).items()
-    fixed = ((name, "" if isinstance(x, float) else x) for name, x in values)
-    return type(config), *fixed
+    return type(config), *(
+        (name, "" if isinstance(value, float) else value)
+        for name, value in vars(config).items()
+    )
 
 
 # -- networks --------------------------------------------------------------------------------
@@ -53,55 +53,45 @@ def alike(config: Any) -> tuple[Any, ...]:
 class Networks:
     """Hold one network of each run in one tensor, `flat` (E, parameters), and its Adam.
 
-    Inputs that a run does not have are zero, and so stay their weights.
+    What a run has alone are the last numbers of its row, weights as (inputs, outputs): its module and
+    its Adam keep them there. Before them are weights of inputs that only others have, for which it is
+    given zeros: they stay zero.
     """
 
     on: Tensor
     """1 for the runs whose Adams take a step, 0 for others, (E, 1)."""
 
-    def __init__(
-        self, runs: Sequence[Run], columns: Sequence[Tensor], device: torch.device
-    ) -> None:
-        """Stack the module of each run, with its Adam; `columns`, bool (width,), are its inputs."""
-        self.runs, self.device = runs, device
-        first, *rest = (p.shape for p in runs[0][0].parameters())
-        self.shapes = [(*first[:-1], len(columns[0])), *rest]
+    def __init__(self, runs: Sequence[Run], device: torch.device) -> None:
+        """Stack the module of each run, with its Adam."""
+        self.runs = runs
+        modules = (module for module, _ in runs)
+        widest = max(modules, key=lambda module: next(module.parameters()).numel())
+        self.shapes = [p.t().shape for p in widest.parameters()]
         self.sizes = [*map(math.prod, self.shapes)]
-        others = torch.ones(sum(self.sizes[1:]), dtype=torch.bool)
-        self.places = [
-            torch.cat([own.expand(self.shapes[0]).ravel(), others]) for own in columns
-        ]
         self.rows = torch.zeros(3, len(runs), sum(self.sizes), device=device)
         self.flat = self.rows[0]
         self.n_steps = torch.zeros(len(runs), 1, device=device)
         for i in range(len(runs)):
-            self.read(i)
+            self.take_in(i)
         self.flat.requires_grad_()
 
     @torch.no_grad()
-    def read(self, i: int) -> None:
-        """Copy what run `i` has alone into its rows."""
-        (module, adam), parts = self.runs[i], list[Tensor]()
-        for p in module.parameters():
-            state = adam.state.get(p, {}) if adam else {}
-            moments = (state.get(name, torch.zeros_like(p)) for name in MOMENTS)
-            parts.append(torch.stack([p, *moments]).flatten(1))
-            self.n_steps[i] = state.get("step", 0.0)
-        self.rows[:, i, self.places[i]] = torch.cat(parts, dim=1)
-
-    @torch.no_grad()
-    def write(self, i: int) -> None:
-        """Copy the rows of run `i` into what it has alone."""
-        (module, adam), rows = self.runs[i], self.rows[:, i, self.places[i]]
+    def take_in(self, i: int) -> None:
+        """Move what run `i` has alone into its row."""
+        module, adam = self.runs[i]
         parameters = [*module.parameters()]
-        parts = torch.split(rows, [p.numel() for p in parameters], dim=1)
-        for p, part in zip(parameters, parts, strict=True):
-            value, *moments = part.unflatten(1, p.shape)  # type: ignore[no-untyped-call]
-            p.copy_(value)
-            if adam:
-                adam.state[p]["step"] = self.n_steps[i, 0].clone()
-                for name, moment in zip(MOMENTS, moments, strict=True):
-                    adam.state[p][name] = moment.clone()
+        sizes = [*map(torch.numel, parameters)]
+        own = self.rows[:, i, -sum(sizes) :].split(sizes, dim=1)  # type: ignore[no-untyped-call]
+        for p, numbers in zip(parameters, own, strict=True):
+            state = adam.state[p] if adam else {}
+            value, *moments = (row.view(p.t().shape).t() for row in numbers)
+            value[...] = p
+            p.data = value
+            for name, moment in zip(MOMENTS, moments, strict=True):
+                moment[...] = state.get(name, 0.0)
+                state[name] = moment
+            self.n_steps[i] = state.get("step", 0.0)
+            state["step"] = self.n_steps[i, 0]
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return what MLPs return (E, n, outputs) for inputs (E, n, width)."""
@@ -110,7 +100,7 @@ class Networks:
         for layer in self.runs[0][0].children():
             if isinstance(layer, nn.Linear):
                 weight, bias, *parts = parts
-                x = torch.baddbmm(bias[:, None], x, weight.mT)
+                x = torch.baddbmm(bias[:, None], x, weight)
             else:
                 x = layer(x)
         return x
@@ -119,11 +109,6 @@ class Networks:
         """Return all parameters, as a module does."""
         return [self.flat]
 
-    @torch.no_grad()
-    def scale_outputs(self, i: int, factor: float) -> None:
-        """Multiply what the last layer of run `i` returns by `factor`."""
-        self.flat[i, -sum(self.sizes[-2:]) :] *= factor
-
     def zero_grad(self) -> None:
         """Forget the last gradient, as Adam does."""
         self.flat.grad = None
@@ -131,7 +116,7 @@ class Networks:
     def take_rates(self) -> None:
         """Learn at the rates that the runs' own Adams have now."""
         rates = [[adam.param_groups[0]["lr"]] for _, adam in self.runs if adam]
-        self.lr = torch.tensor(rates, device=self.device)
+        self.lr = torch.tensor(rates, device=self.flat.device)
 
     @torch.no_grad()
     def step(self) -> None:
@@ -148,13 +133,6 @@ class Networks:
         flat.sub_(mean / size * (on * self.lr / first))
 
 
-def spread(values: Tensor, columns: Tensor) -> Tensor:
-    """Return values (..., n) in the n columns of (..., width) that are True, and 0 in the others."""
-    whole = values.new_zeros(*values.shape[:-1], len(columns))
-    whole[..., columns] = values
-    return whole
-
-
 # -- learners --------------------------------------------------------------------------------
 
 
@@ -167,19 +145,18 @@ class BatchLearner:
 
     view: ClassVar[Sequence[str]]
     """Parts of observations that a single learner keeps; networks see the first two."""
-    stats: ClassVar[Sequence[str]]
-    """Names of the normalizers of what networks see."""
     n_tests = 0
     """Number of episodes of a test at the end of an epoch."""
     networks: Sequence[Networks]
-    """All that `write` gives back to the single learners."""
+    """All that must stay finite."""
 
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
 
-        It is Gymnasium's VectorEnv, whose observations are tensors, with autoreset off. Where its info
-        has ``holding``, a step of those worlds is not over: it ends with the call that says so no more,
-        and all actions but its first are ignored. The episode ends with that step.
+        It is Gymnasium's VectorEnv with autoreset off, whose observations are tensors; of worlds whose
+        episodes have ended, it says False. Where its info has ``holding``, a step of those worlds is
+        not over: it ends with the call that says so no more, and all actions but its first are ignored.
+        The episode ends with that step.
         """
         self.learners, self.env = learners, env
         self.n_worlds = env.num_envs // len(learners)
@@ -194,15 +171,19 @@ class BatchLearner:
         self.config = dataclasses.replace(config, **floats)
         """The hyperparameters, of which floats are (E, 1)."""
         spaces = env.single_observation_space
-        self.width, self.n_goal = (
+        self.width, n_goal = (
             spaces[key].shape[0] for key in ("observation", "desired_goal")
         )
-        self.n_actions = env.single_action_space.shape[0]
+        self.n_inputs = self.width + n_goal
+        (self.n_actions,) = env.single_action_space.shape
         self.e = torch.arange(len(learners), device=self.device)[:, None]
-        self.kept = self.columns(self.n_goal * (len(self.view) - 1))
+        self.pads = [self.n_inputs - one.n_inputs for one in learners]
+        """Number of inputs that each run does not have; here they come first, and are zero."""
+        pads = np.repeat(self.pads, self.n_worlds)[:, None]
+        order = (np.arange(self.width) - pads) % self.width
+        self.order = torch.tensor(order, device=self.device)
         self.failures, self.on = dict[int, str](), list[int]()
-        self.inputs = self.columns(self.n_goal)
-        self.actor = self.stacked("actor", self.inputs, "actor_adam")
+        self.actor = self.stacked("actor", "actor_adam")
         self.build()
 
     def build(self) -> None:
@@ -211,37 +192,22 @@ class BatchLearner:
 
     def look(self) -> None:
         """Scale what networks are given as the single learners' normalizers now do."""
-        each = list[Tensor]()
-        for one, own in zip(self.learners, self.inputs, strict=True):
-            stats = (getattr(one, name).scaling() for name in self.stats)
-            parts = torch.cat([torch.stack([*scaling]) for scaling in stats], dim=1)
-            each.append(spread(parts, own))
-        self.scale = Scaling(*torch.stack(each, dim=1)[:, :, None].to(self.device))
+        scalings = (torch.stack([*one.scaling()]) for one in self.learners)
+        each = torch.stack([*map(self.padded, scalings)], dim=1)
+        self.scale = Scaling(*each[:, :, None].to(self.device))
 
-    def scaled(self, seen: Tensor) -> Tensor:
-        """Return what networks are given for observations and goals side by side, (E, n, ...)."""
-        return self.scale(seen)
+    def padded(self, own: Tensor) -> Tensor:
+        """Return values (..., n) of a run's own inputs with zeros for those of others before them."""
+        return nn.functional.pad(own, (self.n_inputs - own.shape[-1], 0))
 
     def explore(self, rngs: Rngs) -> Noise:
         """Return the exploration of an episode in each of some worlds, with their generators."""
         raise NotImplementedError
 
-    def write(self, i: int) -> None:
-        """Write the state of run `i` into its single learner."""
-        for networks in self.networks:
-            networks.write(i)
-
-    def columns(self, n_more: int) -> list[Tensor]:
-        """Return which inputs each run has: its own part of the observation, and all of `n_more`."""
-        columns = torch.ones(len(self.learners), self.width + n_more, dtype=torch.bool)
-        for own, one in zip(columns, self.learners, strict=True):
-            own[one.n_inputs - self.n_goal : self.width] = False
-        return [*columns]
-
-    def stacked(self, name: str, columns: Sequence[Tensor], adam: str = "") -> Networks:
+    def stacked(self, name: str, adam: str = "") -> Networks:
         """Return the networks that single learners have by this name, with their Adams, if any."""
         runs = [(getattr(one, name), getattr(one, adam, None)) for one in self.learners]
-        return Networks(runs, columns, self.device)
+        return Networks(runs, self.device)
 
     def numbers(self, values: Iterable[float]) -> Tensor:
         """Return a number of each run, (E, 1)."""
@@ -253,10 +219,10 @@ class BatchLearner:
         return [
             i
             for i, one in enumerate(self.learners)
-            if one.env_steps < one.total_timesteps and i not in self.failures
+            if one.progress_remaining > 0.0 and i not in self.failures
         ]
 
-    def tried(self, i: int, function: Callable[..., T], *args: Any) -> T | None:
+    def tried(self, i: int, function: Callable[..., Any], *args: Any) -> Any:
         """Return what a function returns; where it raises DivergenceError, run `i` has failed."""
         try:
             return function(*args)
@@ -280,6 +246,8 @@ class BatchLearner:
         self.on = self.active
         for i in self.on:
             self.learners[i].begin()
+        for networks in self.networks:
+            networks.take_rates()
         episodes = self.play({i: self.learners[i].key(rollout.TRAIN) for i in self.on})
         rows = Rows()
         for i in self.on:
@@ -290,14 +258,15 @@ class BatchLearner:
     def play_best(self, keys: Mapping[int, Key], n: int) -> Rows:
         """Return counts and means of `n` episodes without exploration of the runs with keys."""
         played = self.play(keys, n)
-        return {
-            i: summary(mine) for i, mine in played.items() if i not in self.failures
-        }
+        return {i: summary(played[i]) for i in played.keys() - self.failures}
 
     def test(self, runs: Iterable[int]) -> Rows:
         """Return how good these runs are without exploration, where their learner tests that."""
-        playing = [i for i in runs if self.n_tests and i not in self.failures]
-        keys = {i: self.learners[i].key(rollout.TEST) for i in playing}
+        keys = {
+            i: self.learners[i].key(rollout.TEST)
+            for i in runs
+            if self.n_tests and i not in self.failures
+        }
         return {i: tested(row) for i, row in self.play_best(keys, self.n_tests).items()}
 
     @torch.no_grad()
@@ -309,74 +278,72 @@ class BatchLearner:
         Or `n` episodes of each, without exploration.
         """
         self.look()
-        episodes = {i: list[Episode]() for i in keys}
+        episodes, first = {i: list[Episode]() for i in keys}, 0
 
         def wants_more(i: int) -> bool:
             if n is not None:
                 return len(episodes[i]) < n
             return bool(self.tried(i, self.learners[i].wants_more, episodes[i]))
 
-        wanted, first = [*keys], 0
-        while wanted:
-            now = {i: keys[i] for i in wanted}
-            for world, episode in self._wave(now, first, n is None).items():
-                if wants_more(i := world // self.n_worlds):
+        while keys:
+            for i, episode in self._wave(keys, first, n is None):
+                if wants_more(i):
                     episodes[i].append(episode)
-            wanted = [*filter(wants_more, wanted)]
+            keys = {i: key for i, key in keys.items() if wants_more(i)}
             first += self.n_worlds
         return episodes
 
     def _wave(
         self, keys: Mapping[int, Key], first: int, explores: bool
-    ) -> dict[int, Episode]:
-        """Play one episode, number `first` and following, in each world of the runs with keys."""
-        env, n, n_worlds = self.env, self.env.num_envs, self.n_worlds
+    ) -> Iterator[tuple[int, Episode]]:
+        """Play an episode, number `first` and following, in each world of the runs with keys.
+
+        Yields them by run.
+        """
+        env, n_worlds = self.env, self.n_worlds
         rngs = {
             i * n_worlds + w: np.random.default_rng([*key, first + w])
             for i, key in keys.items()
             for w in range(n_worlds)
         }
-        seeds: list[int | None] = [None] * n
-        for world, rng in rngs.items():
-            seeds[world] = int(rng.integers(2**31))
+        every = np.arange(env.num_envs)
+        seeds = [int(rngs[w].integers(2**31)) if w in rngs else None for w in every]
         explore: Noise = self.explore(rngs) if explores else np.asarray
-        every, n_rows = np.arange(n), env.max_episode_steps + 1
-        live = np.isin(every, [*rngs])
-        obs, info = env.reset(seed=seeds, options={"reset_mask": live})
-        diverged = live & info["diverged"]
-        seen = self._whole(obs)
+        begins = live = np.isin(every, [*rngs])
+        seen = self._whole(env.reset(seed=seeds, options={"reset_mask": live})[0])
         # Rows of a world from its length on mean nothing.
-        views = seen.new_zeros(n, n_rows, seen.shape[-1])
-        views[:, 0] = seen
-        actions = np.zeros((n, n_rows, self.n_actions), np.float32)
-        rewards, lengths = np.zeros((n, n_rows)), np.zeros(n, np.int64)
-        success, terminated = live & False, live & False
-        begins = live = live & ~diverged
+        shape = len(every), env.max_episode_steps + 1
+        views = seen.new_zeros(*shape, seen.shape[1])
+        views[:, 0], lengths = seen, np.zeros(len(every), int)
+        actions = np.zeros((*shape, self.n_actions), np.float32)
+        rewards = np.zeros(shape)
+        success, terminated, diverged = (live & False for _ in range(3))
         while live.any():
-            by_run = seen[:, : len(self.inputs[0])].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
-            chosen = self.actor(self.scaled(by_run)).flatten(0, 1)
+            by_run = seen[:, : self.n_inputs].unflatten(0, (-1, n_worlds))  # type: ignore[no-untyped-call]
+            chosen = self.actor(self.scale(by_run)).flatten(0, 1)
             taken = np.nan_to_num(explore(chosen.cpu().numpy()))  # of runs that fail
             actions[begins, lengths[begins]] = taken[begins]
             on_device = torch.from_numpy(taken.clip(-1.0, 1.0)).to(seen.device)
             obs, *results, info = env.step(on_device)
-            rewards[every, lengths], *ends = (part.cpu().numpy() for part in results)
-            broken, holds, is_success = (
-                live & info[name] for name in ("diverged", "holding", "is_success")
-            )
-            stepped = live & ~(broken | holds)
+            reward, terminates, truncates = (part.cpu().numpy() for part in results)
+            returns = live & ~info["holding"]
+            stepped = returns & ~info["diverged"]
+            rewards[every, lengths] = reward
             lengths += stepped
             seen = self._whole(obs)  # in a hold test, that after the step already
             views[stepped, lengths[stepped]] = seen[stepped]
-            success = np.where(live & ~holds, is_success, success)
-            terminated |= stepped & ends[0]
-            diverged |= broken
-            begins = stepped & ~(ends[0] | ends[1])
-            live = begins | holds
-        on_host, episodes = views.cpu().numpy(), dict[int, Episode]()
+            success = np.where(returns, info["is_success"], success)
+            terminated |= terminates
+            diverged |= info["diverged"]
+            live = live & ~(terminates | truncates)
+            begins = live & returns
+        on_host = views.cpu().numpy()
         for world in rngs:
             i, length = world // n_worlds, lengths[world]
-            mine: Any = on_host[world, : length + 1][:, self.kept[i]]
-            episodes[world] = Episode(
+            mine: Any = on_host[world, : length + 1, self.pads[i] :]
+            self.tried(i, finite, mine, OBS)
+            self.tried(i, finite, rewards[world, :length], REWARD)
+            episode = Episode(
                 obs=mine,
                 actions=actions[world, :length],  # type: ignore[arg-type]
                 rewards=rewards[world, :length].tolist(),
@@ -384,12 +351,12 @@ class BatchLearner:
                 success=float(success[world]),
                 faults={"diverged": int(diverged[world]), "warnings": 0},
             )
-            self.tried(i, finite, mine, OBS)
-            self.tried(i, finite, episodes[world].rewards, REWARD)
-        return episodes
+            yield i, episode
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
-        return torch.cat([obs[key] for key in self.view], dim=-1)
+        """Return what is kept of observations, where what a run does not have comes first."""
+        own = obs["observation"].take_along_dim(self.order, dim=1)
+        return torch.cat([own, *(obs[key] for key in self.view[1:])], dim=-1)
 
 
 class Draws:
@@ -416,15 +383,14 @@ class Draws:
 class BatchPPO(BatchLearner):
     """Learn E runs by PPO."""
 
-    view, stats = SEEN, ("obs_stats",)
+    view = SEEN
 
     def build(self) -> None:
         """Stack standard deviations of actors, and critics."""
-        every = [torch.ones(self.n_actions, dtype=torch.bool)] * len(self.e)
-        self.log_std = self.stacked("gaussian", every, "std_adam")
-        self.critic = self.stacked("critic", self.inputs, "critic_adam")
-        is_fixed = self.config.exploration == "fixed"
-        self.actors = [self.actor] if is_fixed else [self.actor, self.log_std]
+        is_learned = self.config.exploration == "learned"
+        self.log_std = self.stacked("gaussian", "std_adam" if is_learned else "")
+        self.critic = self.stacked("critic", "critic_adam")
+        self.actors = [self.actor, self.log_std] if is_learned else [self.actor]
         self.networks = [*self.actors, self.critic]
 
     def _std(self) -> Tensor:
@@ -433,67 +399,56 @@ class BatchPPO(BatchLearner):
         return at_start * self.log_std.flat[:, None].exp()
 
     def explore(self, rngs: Rngs) -> Noise:
-        stds = self._std()[:, 0].cpu().numpy().repeat(self.n_worlds, axis=0)
-        each = [[one.config.noise_correlation] for one in self.learners]
-        lasts = np.repeat(each, self.n_worlds, axis=0)
-        draws: Any = Draws(rngs, self.env.max_episode_steps)
-        return GaussianNoise(draws, stds, lasts)
+        parts = self._std()[:, 0], self.config.noise_correlation
+        by_world = (part.cpu().numpy().repeat(self.n_worlds, axis=0) for part in parts)
+        draws = Draws(rngs, self.env.max_episode_steps)
+        return GaussianNoise(draws, *by_world)  # type: ignore[arg-type]
 
     def update(self) -> Rows:
         """Take `n_passes` over each run's batch, in minibatches of its own."""
-        every, mine = range(len(self.learners)), dict[int, tuple[Transitions, Any]]()
-        for i in self.on:
-            if prepared := self.tried(i, self.learners[i].prepare):
-                own, verdict = prepared
-                mine[i] = own._replace(obs=spread(own.obs, self.inputs[i])), verdict
-        if not mine:
+        prepared = {i: self.tried(i, self.learners[i].prepare) for i in self.on}
+        if not self.on:
             return {}
+        first, _ = prepared[self.on[0]]
+        nothing: Any = Transitions(*(part[:0] for part in first)), "wait"
+        each = [prepared.get(i) or nothing for i in range(len(self.learners))]
         for networks in self.networks:
-            networks.take_rates()
-            for i in mine:  # critics have another unit of rewards, actors may be undone
-                networks.read(i)
-        first = next(iter(mine.values()))
-        each = zip(*(mine.get(i, first)[0] for i in every), strict=True)
-        batch = Transitions(
-            *(pad_sequence([*parts], batch_first=True) for parts in each)
-        )
-        learns = self.numbers(i in mine and mine[i][1] == "learn" for i in every)
-        passes: list[Any] = [iter(()) for _ in every]
-        for i, (own, _) in mine.items():
-            passes[i] = self.learners[i].passes(len(own.obs))
-        sums = torch.zeros(4, len(passes), device=self.device)
-        n_updates, none = torch.zeros_like(learns), self.e[:0, 0]
+            for i in self.on:
+                if each[i][1] == "undo":  # which gives Adams memory of their own
+                    networks.take_in(i)
+        owns = [own._replace(obs=self.padded(own.obs)) for own, _ in each]
+        padded = (pad_sequence([*parts], True) for parts in zip(*owns, strict=True))
+        batch = Transitions(*padded)
+        learns = self.numbers(verdict == "learn" for _, verdict in each)
+        passes: list[Any] = [iter(()) for _ in each]
+        for i in self.on:
+            passes[i] = self.learners[i].passes(len(owns[i].obs))
+        sums, last = torch.zeros(2, 5, len(each), device=self.device)
         while any(minibatches := [next(each, ()) for each in passes]):
-            last_kl = torch.zeros_like(sums[0])
-            for parts in zip_longest(*minibatches, fillvalue=none):
-                rows = pad_sequence([*parts], batch_first=True, padding_value=-1)
-                stats, is_any = self._step(batch, rows, learns)
+            for parts in zip_longest(*minibatches, fillvalue=self.e[0, :0]):
+                rows = pad_sequence(parts, True, -1)  # type: ignore[arg-type]
+                stats = self._step(batch, rows, learns)
                 sums += stats
-                n_updates += is_any
-                last_kl = torch.where(is_any[:, 0] == 1, stats[1], last_kl)
+                last = torch.where(stats[4] == 1, stats, last)
             if self.config.target_kl is not None:
-                is_far = last_kl > self.config.target_kl[:, 0]
+                is_far = last[1] > self.config.target_kl[:, 0]
                 for i in is_far.nonzero()[:, 0].tolist():
                     passes[i] = iter(())
-        names = *ActorLoss._fields, "value_loss"
-        said = self.checked(names, sums / n_updates[:, 0])
+        said = self.checked((*ActorLoss._fields, "value_loss"), sums[:4] / sums[4])
         for i, row in said.items():
-            self.write(i)
-            row |= self.learners[i].after_update(*mine[i], int(n_updates[i]))
+            row |= self.learners[i].after_update(*each[i], int(sums[4, i]))
         return said
 
-    def _step(
-        self, batch: Transitions, rows: Tensor, learns: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _step(self, batch: Transitions, rows: Tensor, learns: Tensor) -> Tensor:
         """Take an Adam step of critics, and of actors that learn, on a minibatch of each run.
 
         `rows` (E, n) are -1 where a run has fewer than others. Returns policy loss, KL estimate,
-        clipped fraction and value loss, (4, E), and where there is any, (E, 1).
+        clipped fraction and value loss, and 1 where there is any row, (5, E).
         """
         has_row = rows >= 0
-        is_any = has_row.any(dim=1, keepdim=True).float()
+        is_any = has_row[:, :1].float()
         share = has_row / has_row.sum(dim=1, keepdim=True).clamp(min=1)
-        batch = Transitions(*(part[self.e, rows.clamp(min=0)] for part in batch))
+        batch = Transitions(*(part[self.e, rows] for part in batch))
         normal = torch.distributions.Normal(
             self.actor(batch.obs), self._std(), validate_args=False
         )
@@ -502,21 +457,20 @@ class BatchPPO(BatchLearner):
             log_prob - batch.log_prob, batch.advantages, self.config.clip_range
         )
         errors = (self.critic(batch.obs)[..., 0] - batch.returns).square()
-        parts = [*result, errors]
-        stats = torch.stack([(part * share).sum(dim=1) for part in parts])
+        stats = torch.stack([(part * share).sum(dim=1) for part in (*result, errors)])
         for networks in self.networks:
             networks.zero_grad()
-        (stats[0].sum() + stats[3].sum()).backward()  # type: ignore[no-untyped-call]
+        stats[[0, 3]].sum().backward()  # type: ignore[no-untyped-call]
         self._take_step(self.actors, is_any * learns)
         self._take_step([self.critic], is_any)
-        stats = stats.detach()
-        return torch.cat([stats[:3] * learns[:, 0], stats[3:]]), is_any
+        stats = torch.cat([stats.detach(), is_any.T])
+        stats[:3] *= learns.T
+        return stats
 
     def _take_step(self, parts: Sequence[Networks], on: Tensor) -> None:
         """Take an Adam step in the runs where `on` is 1; gradients of all parts are clipped as one."""
         gradients: Any = [networks.flat.grad for networks in parts]
-        squares = [g.square().sum(dim=1, keepdim=True) for g in gradients]
-        norm = torch.stack(squares).sum(dim=0).sqrt()
+        norm = torch.cat(gradients, dim=1).norm(dim=1, keepdim=True)
         share = (self.config.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
         for networks, gradient in zip(parts, gradients, strict=True):
             gradient *= share
@@ -527,54 +481,41 @@ class BatchPPO(BatchLearner):
 class BatchDDPGHER(BatchLearner):
     """Learn E runs by DDPG with hindsight."""
 
-    view, stats = VIEW, ("obs_stats", "goal_stats")
+    view = VIEW
 
     def build(self) -> None:
         """Stack critics and target networks, and what networks see of the replays."""
         config, singles = self.config, self.learners
         self.n_tests = config.n_test_rollouts * config.n_rollouts
-        with_actions = self.columns(self.n_goal + self.n_actions)
-        self.critic = self.stacked("critic", with_actions, "critic_adam")
-        targets = (
-            self.stacked("target_actor", self.inputs),
-            self.stacked("target_critic", with_actions),
-        )
+        self.critic = self.stacked("critic", "critic_adam")
+        targets = self.stacked("target_actor"), self.stacked("target_critic")
         self.networks = [self.actor, self.critic, *targets]
         # It learns for all: its networks are stacks, so what it computes has the runs in front.
         self.whole = whole = copy.copy(singles[0])
         whole.actor = whole.actor_adam = self.actor
         whole.critic = whole.critic_adam = self.critic
         whole.target_actor, whole.target_critic = targets
-        whole.actor_parameters, whole.critic_parameters = (
-            [self.actor.flat],
-            [self.critic.flat],
-        )
+        whole.actor_parameters = self.actor.parameters()
+        whole.critic_parameters = self.critic.parameters()
         n_steps = singles[0].replay.max_steps + 1
         shape = len(singles), 32, n_steps, self.width + self.n_actions
         self.memory = torch.zeros(shape, device=self.device)  # observations and actions
         for i, one in enumerate(singles):
             self._memorize(i, np.arange(one.replay.n_episodes))
 
-    def scaled(self, seen: Tensor) -> Tensor:
-        limit = self.config.clip_obs[..., None]
-        return super().scaled(seen.clamp(-limit, limit))
-
     def explore(self, rngs: Rngs) -> Noise:
         acting = [one.config.acting(one.progress_remaining) for one in self.learners]
         values = [[c.noise_eps, c.random_eps, c.random_hold] for c in acting]
-        by_world = np.repeat(values, self.n_worlds, axis=0)
-        draws: Any = Draws(rngs)
-        return Exploration(draws, *np.split(by_world, 3, axis=1))
+        columns = np.split(np.repeat(values, self.n_worlds, axis=0), 3, axis=1)
+        return Exploration(Draws(rngs), *columns)  # type: ignore[arg-type]
 
     def _memorize(self, i: int, slots: Array) -> None:
         """Copy episodes of a run's replay to the device."""
         while max(slots, default=0) >= self.memory.shape[1]:
             more = torch.zeros_like(self.memory)
             self.memory = torch.cat([self.memory, more], dim=1)
-        obs, action = map(torch.from_numpy, self.learners[i].replay.episodes(slots))
-        mine, where = self.memory[i], torch.from_numpy(slots)
-        mine[where, :, : obs.shape[-1]] = obs.to(self.device)
-        mine[where, :, self.width :] = action.to(self.device)
+        rows = torch.from_numpy(self.learners[i].replay.episodes(slots))
+        self.memory[i, slots, :, self.pads[i] :] = rows.to(self.device)
 
     def update(self) -> Rows:
         """Take one cycle's updates of each active run, and move its target networks."""
@@ -582,20 +523,16 @@ class BatchDDPGHER(BatchLearner):
             return {}
         self.look()
         n, singles, whole = self.config.n_batches, self.learners, self.whole
+        size = n * self.config.batch_size
         drawn = dict[int, Relabelled]()
         for i in self.on:
             one = singles[i]
             self._memorize(i, one.new_slots)
-            size = n * self.config.batch_size
             drawn[i] = one.replay.relabel(size, one.config.replay_p)
-            factor = one.rescale(drawn[i].reward)
-            for critic in (self.critic, whole.target_critic):
-                critic.scale_outputs(i, factor)
+            one.rescale(drawn[i].reward)
             one.updates += n
         on = self.numbers(i in drawn for i in range(len(singles)))
-        for networks in (self.actor, self.critic):
-            networks.on = on
-            networks.take_rates()
+        self.actor.on = self.critic.on = on
         polyak = torch.where(on == 1, self.config.polyak, 1.0)
         whole.config = dataclasses.replace(self.config, polyak=polyak)
         whole.action_l2 = self.numbers(one.action_l2 for one in singles)[:, 0]
@@ -610,14 +547,19 @@ class BatchDDPGHER(BatchLearner):
 
     def _batch(self, drawn: Mapping[int, Relabelled]) -> Batch:
         """Return drawn transitions (E, n, ...); of runs that are off, any."""
-        first = next(iter(drawn.values()))
-        each = [drawn.get(i, first) for i in range(len(self.learners))]
-        stacks = (torch.from_numpy(np.stack(part)) for part in zip(*each, strict=True))
-        one = Relabelled(*(part.to(self.device) for part in stacks))
-        rows = [self.memory[self.e, one.slot, one.step + k] for k in (0, 1)]
-        whole = (torch.cat([r[..., : self.width], one.goal], dim=-1) for r in rows)
-        obs, next_obs = map(self.scaled, whole)
-        action = rows[0][..., self.width :]
+        each = [drawn.get(i, drawn[self.on[0]]) for i in range(len(self.learners))]
+        one = Relabelled(
+            *(
+                torch.as_tensor(np.stack(part), device=self.device)
+                for part in zip(*each, strict=True)
+            )
+        )
+        now, then = (self.memory[self.e, one.slot, one.step + k] for k in (0, 1))
+        obs, next_obs = (
+            self.scale(torch.cat([rows[..., : self.width], one.goal], dim=-1))
+            for rows in (now, then)
+        )
+        action = now[..., self.width :]
         return Batch(obs, one.goal, action, one.reward, next_obs, one.terminal)
 
 

@@ -32,8 +32,9 @@ from . import (
 )
 from .learner import Learner, LearnerConfig, RewardScale
 from .networks import MLP, flushed_denormals
-from .normalizer import MIN_STD, Normalizer, Scaling
+from .normalizer import MIN_STD, Normalizer, Scaling, joined
 from .policy import (
+    FlatInputs,
     Policy,
     Spaces,
     TaxelScale,
@@ -232,28 +233,13 @@ class Exploration:
         return np.where(self._is_random, self._random, noisy)
 
 
-class GoalInputs:
-    """Turn observation and goal, cut and normalized, into the networks' input."""
-
-    def __init__(self, limit: float, *stats: Normalizer) -> None:
-        """Take the bound on both before they are normalized by the moments of each."""
-        scalings = (each.scaling() for each in stats)
-        self.limit = limit
-        self.scaling = Scaling(*map(torch.cat, zip(*scalings, strict=True)))
+class GoalInputs(FlatInputs):
+    """Flatten and scale observation and desired goal; keep the achieved goal, which is not seen."""
 
     def read(self, obs: Any) -> Array:
         """Return observation, desired and achieved goal side by side."""
         whole = {"achieved_goal": obs["desired_goal"], **obs}  # networks do not see it
         return np.concatenate([np.ravel(whole[key]) for key in VIEW], dtype=np.float32)
-
-    def stack(self, views: Sequence[Array]) -> Tensor:
-        seen = torch.from_numpy(np.stack(views))
-        return self(seen[:, : len(self.scaling.limit)])
-
-    def __call__(self, *seen: Tensor) -> Tensor:
-        """Return inputs (..., obs + goal) from observations and goals, or both side by side."""
-        whole = torch.cat(seen, dim=-1)
-        return self.scaling(whole.clamp(-self.limit, self.limit))
 
 
 class DDPGHER(Learner):
@@ -367,14 +353,13 @@ class DDPGHER(Learner):
         self.cycles += 1
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
-        played, limit = usable(episodes), self.config.clip_obs
-        gamma = self.config.gamma
+        played, gamma = usable(episodes), self.config.gamma
         self._largest_return = max(largest_return(e.rewards, gamma) for e in played)
         self.new_slots = self.replay.store(played)
         n = sum(map(len, played))
         batch = self.replay.sample(n, self.config.replay_p, self.new_slots)
-        self.obs_stats.update(batch.obs.clip(-limit, limit))
-        self.goal_stats.update(batch.goal.clip(-limit, limit))
+        self.obs_stats.update(batch.obs)
+        self.goal_stats.update(batch.goal)
         return stats
 
     def test(self) -> dict[str, float]:
@@ -391,9 +376,7 @@ class DDPGHER(Learner):
         config, n = self.config, self.config.n_batches
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
-        factor = self.rescale(drawn.reward)  # 1 without --normalize-rewards
-        for critic in (self.critic, self.target_critic):
-            critic.scale_outputs(factor)
+        self.rescale(drawn.reward)
         sums = self.learn(self._as_inputs(drawn))
         self.updates += n
         over_ranks = self.comm.sum((sums / n).cpu().double().numpy())
@@ -425,11 +408,12 @@ class DDPGHER(Learner):
     def _as_inputs(self, drawn: Batch) -> Batch:
         """Return tensors in which observations are the networks' inputs (n, obs + goal)."""
         batch = Batch(*(torch.from_numpy(column).to(self.device) for column in drawn))
-        inputs = GoalInputs(self.config.clip_obs, self.obs_stats, self.goal_stats)
-        return batch._replace(
-            obs=inputs(batch.obs, batch.goal),
-            next_obs=inputs(batch.next_obs, batch.goal),
+        scaling = self.scaling()
+        obs, next_obs = (
+            scaling(torch.cat([part, batch.goal], dim=-1))
+            for part in (batch.obs, batch.next_obs)
         )
+        return batch._replace(obs=obs, next_obs=next_obs)
 
     def _update_networks(self, batch: Batch) -> Tensor:
         """Take one Adam step of critic and actor, both from the same parameters.
@@ -494,12 +478,12 @@ class DDPGHER(Learner):
             for old, new in zip(target.parameters(), network.parameters(), strict=True):
                 old.lerp_(new, 1.0 - self.config.polyak)
 
-    def rescale(self, rewards: Array) -> float:
+    def rescale(self, rewards: Array) -> None:
         """Follow the rewards that were drawn (n,), of all ranks: their bounds, and a running scale.
 
         The scale is what makes the largest return so far as large as that of a reward of 1 in every
-        step; a relabelled reward may exceed all returns that were played. Returns the factor for the
-        critics' outputs, so that values in the environment's unit stay.
+        step; a relabelled reward may exceed all returns that were played. As it grows, the critics'
+        outputs shrink, so that values in the environment's unit stay.
         """
         mine = rewards.min(), rewards.max(), self._largest_return
         lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)
@@ -507,7 +491,9 @@ class DDPGHER(Learner):
         of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
         scale = self.reward_scale
         extreme = max(-scale.lowest, scale.highest, *largest)
-        return scale.grow(float(extreme) / of_ones)
+        factor = scale.grow(float(extreme) / of_ones)
+        for critic in (self.critic, self.target_critic):
+            critic.scale_outputs(factor)
 
     def _sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""
@@ -519,6 +505,10 @@ class DDPGHER(Learner):
         vector_to_parameters(vector, gradients)  # writes into the gradients
 
     # -- the policy --------------------------------------------------------------------------
+
+    def scaling(self) -> Scaling:
+        """Return what the networks' inputs are scaled by now."""
+        return joined(self.obs_stats, self.goal_stats)
 
     @staticmethod
     def new_parts(
@@ -537,8 +527,11 @@ class DDPGHER(Learner):
                 True,
                 config.taxel_scale,
                 config.min_std,
+                config.clip_obs,
             ),
-            "goal_stats": Normalizer(goal_size(space), comm, config.norm_clip),
+            "goal_stats": Normalizer(
+                goal_size(space), comm, config.norm_clip, bound=config.clip_obs
+            ),
         }
 
     @staticmethod
@@ -550,7 +543,7 @@ class DDPGHER(Learner):
             random_eps=config.random_eps,
             random_hold=config.random_hold,
         )
-        inputs = GoalInputs(config.clip_obs, *stats)
+        inputs = GoalInputs(joined(*stats))
         return Policy(on_cpu(actor), inputs, explore, spaces)
 
 

@@ -9,8 +9,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, ClassVar, Self, TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
+from torch.utils._pytree import tree_map_only
 
 from . import Array, Communicator, Workers
 from .policy import Policy, Spaces, finite, flat_size
@@ -185,8 +186,8 @@ class Learner(ABC):
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what the rest of the run depends on, not copied; a replay is saved by itself."""
-        state = {name: getattr(self, name).state_dict() for name in self.saved}
+        """Return what the rest of the run depends on; a replay is saved by itself."""
+        state = states({name: getattr(self, name) for name in self.saved})
         return state | {name: getattr(self, name) for name in self.plain}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -252,8 +253,12 @@ def second_thread() -> ThreadPoolExecutor:
 
 
 def states(parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return copies of the states of parts, by name."""
-    return copy.deepcopy({name: part.state_dict() for name, part in parts.items()})
+    """Return copies of the states of parts, by name.
+
+    Of tensors that are part of a larger one, as those of a batch of runs are, only the part is copied.
+    """
+    state = {name: part.state_dict() for name, part in parts.items()}
+    return tree_map_only(Tensor, torch.clone, state)  # type: ignore[no-any-return]
 
 
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ PRIOR_ROWS = 1000
 
 
 class Scaling(NamedTuple):
-    """Map values to (values - mean) / std, cut to ±limit.
+    """Map values, cut to ±bound, to (values - mean) / std, cut to ±limit.
 
     The mean is subtracted in two parts, so that float32 keeps the digits of values that lie far
     from zero.
@@ -32,11 +32,13 @@ class Scaling(NamedTuple):
     mean_low: Tensor
     inverse_std: Tensor
     limit: Tensor
+    bound: Tensor
 
     def __call__(self, values: Tensor) -> Tensor:
         """Return normalized float32 (..., size) of float32 `values`."""
-        high, low, inverse_std, limit = (part.to(values.device) for part in self)
-        return (values - high).sub_(low).mul_(inverse_std).clamp_(-limit, limit)
+        high, low, inverse_std, limit, bound = (part.to(values.device) for part in self)
+        centred = values.clamp(-bound, bound).sub_(high).sub_(low)
+        return centred.mul_(inverse_std).clamp_(-limit, limit)
 
 
 class Normalizer:
@@ -50,7 +52,8 @@ class Normalizer:
     is `BLOCK_NORM` on average, however many columns it has and however rarely each is not zero. Its
     values are cut at ±`clip` like all others, which a rare single column may reach.
 
-    Columns are divided by at least `min_std`: one for all, or one each (size,).
+    Columns are divided by at least `min_std`: one for all, or one each (size,). What is beyond ±`bound`
+    counts as if it were there.
     """
 
     def __init__(
@@ -61,9 +64,10 @@ class Normalizer:
         as_is: Array | None = None,
         block: Array | None = None,
         min_std: float | Array = MIN_STD,
+        bound: float = math.inf,
     ) -> None:
         nothing = np.zeros(size, bool)
-        self.comm, self.clip = comm, clip
+        self.comm, self.clip, self.bound = comm, clip, bound
         self.min_std = np.full(size, min_std, np.float64)
         self.as_is = nothing if as_is is None else as_is
         self.block = nothing if block is None else block
@@ -83,7 +87,7 @@ class Normalizer:
 
     def update(self, batch: Array) -> None:
         """Take in the rows (n, size) that each rank has; every rank must call it, n may be 0."""
-        batch = np.asarray(batch, np.float64)
+        batch = np.asarray(batch, np.float64).clip(-self.bound, self.bound)
         block_squares = np.square(batch[:, self.block]).sum()
         total = self.comm.sum(np.append(batch.sum(axis=0), [block_squares, len(batch)]))
         count = float(total[-1])
@@ -106,7 +110,8 @@ class Normalizer:
         low = (self.mean - high).astype(np.float32)
         inverse_std = (1.0 / self.std).astype(np.float32)
         limit = np.where(self.as_is, np.inf, self.clip).astype(np.float32)
-        return Scaling(*map(torch.from_numpy, (high, low, inverse_std, limit)))
+        bound = np.full_like(high, self.bound)
+        return Scaling(*map(torch.from_numpy, (high, low, inverse_std, limit, bound)))
 
     def state_dict(self) -> dict[str, Any]:
         """Return moments and masks, as tensors and numbers."""
@@ -120,3 +125,9 @@ class Normalizer:
                 setattr(self, name, state[name].numpy().copy())
         for name in NUMBERS:
             setattr(self, name, float(state[name]))
+
+
+def joined(*stats: Normalizer) -> Scaling:
+    """Return what several do to their columns side by side."""
+    each = (one.scaling() for one in stats)
+    return Scaling(*map(torch.cat, zip(*each, strict=True)))

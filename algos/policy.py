@@ -116,7 +116,8 @@ class FlatInputs:
         return np.concatenate([np.ravel(part) for part in parts], dtype=np.float32)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        return self.scaling(torch.from_numpy(np.stack(views)))
+        seen = torch.from_numpy(np.stack(views))[:, : len(self.scaling.limit)]
+        return self.scaling(seen)
 
 
 def input_stats(
@@ -126,6 +127,7 @@ def input_stats(
     normalize: bool,
     taxel_scale: TaxelScale,
     min_std: float = MIN_STD,
+    bound: float = math.inf,
 ) -> Normalizer:
     """Return moments of flat observations, before anything was seen.
 
@@ -136,7 +138,7 @@ def input_stats(
     as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalize))
     block = taxels & (taxel_scale == "block")
     floors = np.where(taxels, MIN_STD, min_std)
-    return Normalizer(len(taxels), comm, clip, as_is, block, floors)
+    return Normalizer(len(taxels), comm, clip, as_is, block, floors, bound)
 
 
 class Policy:

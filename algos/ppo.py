@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from . import Array, Communicator, Count, Fraction, Positive32, rollout
 from .learner import Counts, Learner, LearnerConfig, RewardScale, restore, states
 from .networks import MLP, flushed_denormals, start_orthogonal
-from .normalizer import MIN_STD
+from .normalizer import MIN_STD, Scaling
 from .policy import (
     FlatInputs,
     Policy,
@@ -523,7 +523,7 @@ class PPO(Learner):
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
-        inputs = FlatInputs(self.obs_stats.scaling())
+        inputs = FlatInputs(self.scaling())
         # An episode has one more observation than transitions: the last, after which nothing is done.
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
         values = [self.critic(seen).squeeze(-1).cpu().double().numpy() for seen in obs]
@@ -561,6 +561,10 @@ class PPO(Learner):
         return normalize(advantage), returns, predicted
 
     # -- the policy --------------------------------------------------------------------------
+
+    def scaling(self) -> Scaling:
+        """Return what the networks' inputs are scaled by now."""
+        return self.obs_stats.scaling()
 
     @staticmethod
     def new_parts(

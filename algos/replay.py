@@ -139,9 +139,10 @@ class Replay:
         self.n_episodes = max(self.n_episodes, slot + 1)
         self._unsaved.append(slot)
 
-    def episodes(self, slots: Array) -> tuple[Array, Array]:
-        """Return observations and actions (k, max_steps + 1, ...) in slots (k,), whole."""
-        return self._columns["obs"][slots], self._columns["action"][slots]
+    def episodes(self, slots: Array) -> Array:
+        """Return observations and actions, side by side (k, max_steps + 1, n), in slots (k,), whole."""
+        parts = [self._columns[name][slots] for name in ("obs", "action")]
+        return np.concatenate(parts, axis=-1)
 
     # -- sampling ----------------------------------------------------------------------------
 

@@ -7,12 +7,13 @@ other layouts, other faults or no touch at all share one batch of physics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import is_dataclass, replace
-from functools import partial
+from functools import cache, partial
+from importlib.util import find_spec
 from operator import itemgetter
-from typing import Any, TypeVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -24,13 +25,12 @@ from torch import Tensor
 from . import tasks, touch
 from .grasp import EJECTED, LIMIT, GraspConfig, GraspEnv, checked
 from .hold import Trial
-from .objects import KINDS, host
-from .observations import OF_HAND, TAXELS
-from .simulators import batch as simulators
+from .objects import KINDS, host, like, namespace
+from .observations import OF_HAND, TAXELS, Observer
+from .simulators.batch import BatchSimulator
 from .state import Array, State
 from .validation import require_one_of
 
-T = TypeVar("T")
 Obs = dict[str, Any]
 BY_GROUP = frozenset(("layout", "touch", "hand_seed", "sensor", *TAXELS))
 """Fields in which the groups of a batch may differ."""
@@ -85,27 +85,30 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         Raise ValueError for scenes that do not go together.
         """
-        configs = [config for config, _ in groups]
-        if len({shared(config) for config in configs}) > 1:
+        configs, sizes = zip(*groups, strict=True)
+        if len({*map(shared, configs)}) > 1:
             allowed = ", ".join(sorted(BY_GROUP))
             raise ValueError(f"groups: found scenes that differ, allowed in: {allowed}")
-        sizes = [size for _, size in groups]
         self.num_envs = n = sum(sizes)
-        kinds = [_without_idle_seed(config) for config in configs]
-        envs = {kind: GraspEnv(hand, kind) for kind in dict.fromkeys(kinds)}
-        self.singles = [envs[kind] for kind in kinds]
+        make = cache(GraspEnv)  # groups that differ in nothing share one
+        self.singles = [make(hand, _without_idle_seed(config)) for config in configs]
         """The environment of each group, which plays a world of it alone."""
         single = self.singles[0]
         self.config, self.hand, self.task = single.config, single.hand, single.task
         self.max_episode_steps = single.max_episode_steps
-        self.simulator = simulators.make(single.simulator.scene, n, device)
+        require(device)
+        scene = single.simulator.scene
+        if device == "loop":
+            self.simulator = BatchSimulator(scene, n)
+        else:
+            from .simulators.warp import WarpSimulator
+
+            self.simulator = WarpSimulator(scene, n, device)
         self.device, tensor = self.simulator.device, self.simulator.tensor
+        of_world: Any = np.repeat(np.array(self.singles, object), sizes)
         self._observers = [
-            (
-                np.flatnonzero(np.repeat([kind == k for k in kinds], sizes)),
-                _converted(env._observer, tensor),
-            )
-            for kind, env in envs.items()
+            (np.flatnonzero(of_world == env), _converted(env._observer, tensor))
+            for env in dict.fromkeys(self.singles)
         ]
         """Worlds (k,) of one layout, kind of touch and hand, and what observes for them."""
         self._autoreset = autoreset
@@ -113,9 +116,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": mode}
         self.single_action_space = single.action_space
         self.action_space = batch_space(single.action_space, n)
-        spaces: Any = [one.observation_space for one in self.singles]
-        widths = [space["observation"].shape[0] for space in spaces]
-        self.single_observation_space = widest = spaces[np.argmax(widths)]
+        spaces: Any = (one.observation_space for one in self.singles)
+        widest = max(spaces, key=lambda space: space["observation"].shape)
+        self.single_observation_space = widest
         self.observation_space = batch_space(widest, n)
         self._rngs = np.array([np.random.default_rng() for _ in range(n)])
         self._targets = np.tile(single.hand.start_targets(), (n, 1))
@@ -124,7 +127,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._trial = Trial(self.task.hold, self.config.timestep)
         goals = np.zeros((2, n, self.task.goal_size), np.float32)
         self._achieved, self._desired = goals
-        self._obs = torch.zeros((n, max(widths)), device=self.device)
+        shape = n, *widest["observation"].shape
+        self._obs = torch.zeros(shape, device=self.device)
         self.n_diverged = 0
         """Episodes that ended so, since the batch was made."""
 
@@ -145,14 +149,14 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         n = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
         seeds: Any = [None] * n if seed is None else seed
-        if isinstance(seed, int | np.integer):
+        if isinstance(seed, int):
             seeds = range(seed, seed + n)
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i] = np.random.default_rng(int(seeds[i]))
         self._begin(mask)
         self._observe(*self._look(), mask, mask)
-        return self._results(), self._info(np.zeros(n, bool), np.zeros(n, bool))
+        return self._results(mask & False, mask & False)
 
     def _begin(self, mask: Array) -> None:
         """Put worlds at the start of their next episodes."""
@@ -177,8 +181,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """Let the task's giver do what is due before actions of these numbers; below 0, nothing."""
         if self.task.giver is None:
             return
-        giving = partial(self.task.giving, steps)
-        goal, *does = _in_some(steps >= 0, [self.task], giving)
+        goal, *does = _in_some(steps >= 0, self.task.giving, steps)
         sets_off, lets_go = (np.flatnonzero((steps >= 0) & part) for part in does)
         self.simulator.carry(sets_off, goal[sets_off])
         self.simulator.let_go(lets_go)
@@ -205,15 +208,14 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         broken |= playing & ~(moved / self.config.control_dt < EJECTED)
         broken |= self._observe(state, truth, (playing & ~broken) | fresh, fresh)
         stepped, is_last = playing & ~broken, self._steps >= self.max_episode_steps
-        after_step = partial(self.task.after_step, truth, is_last)
-        achieved, ended = _in_some(playing, [self.task], after_step)
+        after_step = self.task.after_step
+        achieved, ended = _in_some(playing, after_step, truth, is_last)
         self._achieved[stepped] = achieved[stepped]
         due = stepped & np.logical_not(ended) & self.task.is_hold_due(truth)
-        judge = partial(self._trial.judge, truth)
-        over, held = _in_some(were_holding, [self._trial], judge)
-        over = over & were_holding & ~broken
+        over, held = _in_some(were_holding, self._trial.judge, truth)
+        over &= were_holding & ~broken
         self._achieved[over] = self.task.after_hold(self._achieved, held)[over]
-        _in_some(due, [self._trial], partial(self._trial.begin, truth))
+        _in_some(due, self._trial.begin, truth)
         self._holding = due | (were_holding & ~over & ~broken)
         returned, terminated = (stepped & ~due) | over, (stepped & ended) | over
         truncated = (returned & is_last & ~terminated) | broken
@@ -223,20 +225,19 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         reward = np.where(returned, self.task.compute_reward(*goals), 0.0)
         success = returned & self.task.is_success(*goals)
         results = reward.astype(np.float32), terminated, truncated
-        info = self._info(success, broken)
-        return self._results(), *map(self._copy, results), info
+        obs, info = self._results(success, broken)
+        return obs, *map(self._copy, results), info
 
     def _advance(self, actions: Array, playing: Array) -> None:
         """Run the physics of a step, and of a hold test until its next look."""
-        self._steps[playing] += 1
+        self._steps += playing
         self._targets[playing] = self.hand.action_map(actions, self._targets)[playing]
         self._give(np.where(playing, self._steps, -1))
         holding, trial, targets = self._holding, self._trial, self._targets.copy()
         self.simulator.set_creep(np.where(holding, trial.creep, 1.0))
-        n_usual = np.where(playing, self.config.n_substeps, 0)
-        n_rising = _in_some(holding, [trial], trial.rise)
+        n_rising = _in_some(holding, trial.rise)
         targets[:, 2] = np.where(holding, trial.slide, targets[:, 2])
-        n_substeps = np.where(holding, n_rising, n_usual)
+        n_substeps = np.where(holding, n_rising, playing * self.config.n_substeps)
         self.simulator.step(targets, n_substeps.astype(int))
 
     def _observe(self, state: State, truth: State, which: Array, first: Array) -> Array:
@@ -244,20 +245,20 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         Return bool (n,): whose are broken.
         """
-        draws = Draws(self._observer_draws.rngs, first, self.simulator.tensor)
         obs = self._obs.clone()
         if first.any():
-            reset = partial(self.task.reset, truth, self._task_draws)
-            achieved, desired = _in_some(first, [self.task], reset)
+            reset, draws_of_task = self.task.reset, self._task_draws
+            achieved, desired = _in_some(first, reset, truth, draws_of_task)
             self._achieved[first] = achieved[first]
             self._desired[first] = np.broadcast_to(desired, achieved.shape)[first]
             self._give(np.where(first, 0, -1))
         for worlds, observer in self._observers:
-            parts, seen = observer.parts, state.map(itemgetter(worlds))
-            if first[worlds].any():
-                reset = partial(observer.reset, draws.at(worlds))
-                _in_some(first[worlds], parts, reset)
-            told: Any = _in_some(which[worlds], parts, partial(observer.observe, seen))
+            seen, begins = state.map(itemgetter(worlds)), first[worlds]
+            if begins.any():
+                rngs = self._observer_draws.rngs[worlds]
+                draws = Draws(rngs, begins, self.simulator.tensor)
+                _in_some(begins, observer.reset, draws)
+            told = _in_some(which[worlds], observer.observe, seen)
             obs[worlds, : told.shape[1]] = told.float()
         self._position = truth.object_position.copy()
         is_sound = host(obs.abs().amax(1)) < LIMIT
@@ -266,19 +267,31 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     # -- what comes out ----------------------------------------------------------------------
 
-    def _results(self) -> Obs:
-        return {
+    def _results(self, success: Array, diverged: Array) -> tuple[Obs, dict[str, Any]]:
+        """Return observations and info."""
+        obs = {
             "observation": self._obs,
             "achieved_goal": self._copy(self._achieved),
             "desired_goal": self._copy(self._desired),
         }
+        holding = self._holding.copy()
+        return obs, {"is_success": success, "diverged": diverged, "holding": holding}
 
     def _copy(self, values: Array) -> Any:
         return torch.tensor(values, device=self.device)
 
-    def _info(self, success: Array, diverged: Array) -> dict[str, Any]:
-        holding = self._holding.copy()
-        return {"is_success": success, "diverged": diverged, "holding": holding}
+
+def require(device: str) -> None:
+    """Raise ValueError where there is no such device, ImportError without MuJoCo Warp."""
+    if device != "loop" and find_spec("mujoco_warp") is None:  # which needs warp itself
+        raise ImportError(
+            "found no MuJoCo Warp, which a GPU needs: pip install 'tactilerl[gpu]'"
+        )
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise ValueError(
+            f"device: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
+            "GPU, its driver, and PyTorch for CUDA (https://pytorch.org/get-started)"
+        )
 
 
 def _without_idle_seed(config: GraspConfig) -> GraspConfig:
@@ -301,17 +314,20 @@ def _converted(part: Any, tensor: Callable[[Any], Tensor]) -> Any:
     return whole
 
 
-def _in_some(which: Array, things: Iterable[Any], act: Callable[[], T]) -> T:
-    """Return what `act` does to things that remember it in some worlds only, those of `which` (n,).
+def _in_some(which: Array, act: Any, *arguments: Any) -> Any:
+    """Return what a method does; it is remembered in some worlds only, those of `which` (n,).
 
-    What a thing remembers are those of its attributes that are numbers, arrays or draws.
+    What the method's object remembers, or an observer's parts, are attributes that are numbers, arrays
+    or draws.
     """
+    owner = act.__self__
+    things = owner.parts if isinstance(owner, Observer) else [owner]
     before = [(thing, dict(vars(thing))) for thing in things]
     for _, values in before:
         for value in values.values():
             if isinstance(value, Draws):
                 value.which, value.n_ahead = which, AHEAD
-    result = act()
+    result = act(*arguments)
     for thing, values in before:
         for name, value in vars(thing).items():
             setattr(thing, name, _where(which, value, values.get(name, value)))
@@ -328,11 +344,9 @@ def _where(which: Array, new: Any, old: Any) -> Any:
         return old
     if new is old or not isinstance(new, _REMEMBERED):
         return new
-    mask: Any = which.reshape(-1, *[1] * (max(np.ndim(new), np.ndim(old)) - 1))
-    for value in (new, old):
-        if isinstance(value, Tensor):
-            return torch.where(torch.as_tensor(mask, device=value.device), new, old)
-    return np.where(mask, new, old)
+    mask = which.reshape(-1, *[1] * (max(np.ndim(new), np.ndim(old)) - 1))
+    kind = old if isinstance(old, Tensor) else new
+    return namespace(kind).where(like(mask, kind) != 0, new, old)
 
 
 AHEAD = 32
@@ -357,10 +371,6 @@ class Draws:
         self.left, self._rows = np.zeros(len(rngs), int), np.zeros(0)
         """How many of the rows (n, n_rows, ...), drawn ahead, are still to be handed out."""
         self._asked: Any = None
-
-    def at(self, worlds: Array) -> Draws:
-        """Return what draws for these of the episodes."""
-        return Draws(self.rngs[worlds], self.which[worlds], self._convert)
 
     def spawn(self, n: int) -> list[Draws]:
         """Return draws that are independent of these and of each other."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import plugins
 from ..hands import Hand
-from ..objects import Shape
+from ..objects import Shape, like
 from ..skin import Skin
 from ..state import Array, State, places
 
@@ -108,6 +108,28 @@ class Scene:
         palm = self.hand.palm, self.hand.palm_point
         links, points = zip(palm, *self.hand.fingertips, strict=True)
         return links, np.array(points)[:, :, None]
+
+    def state(
+        self,
+        links: tuple[str, ...],
+        positions: Array,
+        rotations: Array,
+        **measured: Any,
+    ) -> State:
+        """Return a state with these poses of links, and the palm point and fingertips on them."""
+        on_links, points = self.points
+        at = places(links, on_links)
+        offsets = rotations[..., at, :, :] @ like(points, rotations)
+        placed = positions[..., at, :] + offsets[..., 0]
+        return State(
+            shape=self.shape,
+            links=links,
+            link_positions=positions,
+            link_rotations=rotations,
+            palm=placed[..., 0, :],
+            fingertips=placed[..., 1:, :],
+            **measured,
+        )
 
 
 @dataclass(frozen=True)
@@ -203,28 +225,6 @@ class Simulator(ABC):
     @abstractmethod
     def state(self) -> State:
         """Return what is true now; contacts are those of the last timestep."""
-
-    def _state(
-        self,
-        links: tuple[str, ...],
-        positions: Array,
-        rotations: Array,
-        **measured: Any,
-    ) -> State:
-        """Return a state with these poses of links, and the palm point and fingertips on them."""
-        on_links, points = self.scene.points
-        at = places(links, on_links)
-        placed = positions[at] + np.matmul(rotations[at], points)[:, :, 0]
-        return State(
-            shape=self.scene.shape,
-            targets=self._targets,
-            links=links,
-            link_positions=positions,
-            link_rotations=rotations,
-            palm=placed[0],
-            fingertips=placed[1:],
-            **measured,
-        )
 
     @abstractmethod
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:

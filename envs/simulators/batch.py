@@ -7,9 +7,7 @@ its worlds one after the other; `warp.WarpSimulator` does the same on a GPU.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterable
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -85,20 +83,22 @@ class BatchSimulator:
 
     def state(self) -> State:
         """Return what is true now, in tensors (n, ...); valid until the next step or reset."""
-        states = [vars(world.state()) for world in self.worlds]
-        parts: dict[str, Any] = {k: [state[k] for state in states] for k in states[0]}
-        links, contacts = (
-            parts.pop("links")[0],
-            zip(*parts.pop("contacts"), strict=True),
-        )
-        half_size: Any = self.tensor([one.half_size for one in parts.pop("shape")])
-        padded = [pad_sequence([*map(self.tensor, part)], True) for part in contacts]
-        stacked: Any = {name: self.tensor(part) for name, part in parts.items()}
+        states = [world.state() for world in self.worlds]
+        each_contacts = zip(*(state.contacts for state in states), strict=True)
+        padded = [
+            pad_sequence([*map(self.tensor, part)], True) for part in each_contacts
+        ]
+        half_size: Any = self.tensor([state.shape.half_size for state in states])
+        parts: dict[str, Any] = {
+            name: self.tensor([getattr(state, name) for state in states])
+            for name in vars(states[0])
+            if name not in ("shape", "links", "contacts")
+        }
         return State(
             shape=Shape(self.kind, tuple(half_size.T)),
-            links=links,
+            links=states[0].links,
             contacts=Contacts(*padded),  # type: ignore[arg-type]
-            **stacked,
+            **parts,
         )
 
     def tensor(self, values: Any) -> Tensor:
@@ -106,25 +106,3 @@ class BatchSimulator:
         values = np.asarray(values)
         dtype = self.dtype if values.dtype.kind == "f" else None
         return torch.as_tensor(values, dtype=dtype, device=self.device)
-
-
-def require(device: str) -> None:
-    """Raise ValueError where there is no such device, ImportError without MuJoCo Warp."""
-    if device != "loop" and find_spec("mujoco_warp") is None:  # which needs warp itself
-        raise ImportError(
-            "found no MuJoCo Warp, which a GPU needs: pip install 'tactilerl[gpu]'"
-        )
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise ValueError(
-            f"device: found no GPU that PyTorch {torch.__version__} can use here; it takes an NVIDIA "
-            "GPU, its driver, and PyTorch for CUDA (https://pytorch.org/get-started)"
-        )
-
-
-def make(scene: Scene, n: int, device: str) -> BatchSimulator:
-    """Return n running scenes: MuJoCo's in a loop ("loop"), or MuJoCo Warp's on a PyTorch device."""
-    require(device)
-    if device == "loop":
-        return BatchSimulator(scene, n)
-    warp: Any = importlib.import_module(f"{__package__}.warp")
-    return warp.WarpSimulator(scene, n, device)  # type: ignore[no-any-return]

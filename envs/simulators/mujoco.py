@@ -265,19 +265,24 @@ class MujocoSimulator(Simulator):
         self, joint_positions: Array, object_position: Array, yaw: float
     ) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them
-        self.set_start(joint_positions, object_position, yaw)
-        mujoco.mj_forward(self.model, self.data)
-
-    def set_start(
-        self, joint_positions: Array, object_position: Array, yaw: float
-    ) -> None:
-        """Write what an episode begins with; what follows from it is not computed yet."""
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
-        self.data.ctrl[self._ctrl] = joint_positions[self._actuated]
-        self.data.qpos[self._qpos] = joint_positions
-        turn = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
-        self.data.qpos[self._object_qpos] = [*object_position, *turn]
+        start = self.start(joint_positions, object_position, np.array(yaw))
+        self.data.qpos[:], self.data.ctrl[:] = start
+        mujoco.mj_forward(self.model, self.data)
+
+    def start(
+        self, joint_positions: Array, object_position: Array, yaw: Array
+    ) -> tuple[Array, Array]:
+        """Return MuJoCo's qpos (..., nq) and ctrl (..., nu) where episodes begin, at yaws (...)."""
+        qpos = np.tile(self.model.qpos0, (*yaw.shape, 1))
+        qpos[..., self._qpos] = joint_positions
+        turn = np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)
+        pose = np.concatenate([object_position, np.stack(turn, axis=-1)], axis=-1)
+        qpos[..., self._object_qpos] = pose
+        ctrl = np.zeros((*yaw.shape, self.model.nu))
+        ctrl[..., self._ctrl] = joint_positions[..., self._actuated]
+        return qpos, ctrl
 
     def place(
         self, joint_positions: Array, object_position: Array, orientation: Array
@@ -339,10 +344,11 @@ class MujocoSimulator(Simulator):
         """Return what is true now."""
         data, body, start = self.data, self._object_body, self._object_qvel
         rotation = data.xmat[body].reshape(3, 3).copy()
-        return self._state(
+        return self.scene.state(
             self._links,
             data.xpos[self._bodies].copy(),
             data.xmat[self._bodies].reshape(-1, 3, 3).copy(),
+            targets=self._targets,
             object_position=data.xpos[body].copy(),
             object_rotation=rotation,
             object_orientation=data.xquat[body].copy(),

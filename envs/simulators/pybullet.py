@@ -298,10 +298,11 @@ class PyBulletSimulator(Simulator):
         rotations = Rotation.from_quat([pose[5] for pose in poses]).as_matrix()
         angles, speeds = np.array(self._joint_states()).T
         pressing = self._contacts()
-        return self._state(
+        return self.scene.state(
             self._names,
             positions,
             rotations,
+            targets=self._targets,
             object_position=np.array(position),
             object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(
                 3, 3

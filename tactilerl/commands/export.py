@@ -20,7 +20,6 @@ import torch
 import tyro
 from torch import Tensor, nn
 
-from ..algos.ddpg_her import GoalInputs
 from ..algos.policy import Policy
 from ..envs.grasp import GraspEnv
 from ..envs.hands import LinearAction
@@ -73,7 +72,7 @@ class Controller(nn.Module):
         """Take a policy and an environment that it fits."""
         super().__init__()
         self.network = policy.network
-        self.scale: Any = policy.inputs
+        self.scale = policy.inputs.scaling
         self.names, hand = [*sensed(env)], env.hand
         # What was asked for follows from the last targets and is no sensor.
         self.asked = [name for name in self.names if name.startswith("asked for:")]
@@ -122,11 +121,7 @@ class Controller(nn.Module):
         readings = torch.cat([now[None], before])
         terms, taxels = readings[:, : self.n_terms], readings[:, self.n_terms :]
         obs = torch.cat([terms.flatten(), taxels.flatten()])
-        goal = given["desired_goal"]
-        if isinstance(self.scale, GoalInputs):
-            scaled = self.scale(obs, goal)
-        else:
-            scaled = self.scale.scaling(torch.cat([obs, goal]))
+        scaled = self.scale(torch.cat([obs, given["desired_goal"]]))
         action = self.network(scaled).clamp(-1.0, 1.0)
         targets = (still if self.is_absolute else last) + action @ gain
         targets = targets.clamp(low, high)

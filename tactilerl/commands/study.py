@@ -7,6 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Union
 
@@ -61,7 +62,7 @@ class Run:
                 )
             for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")
-            runs = [run for one in batches for run in one.runs]
+            runs = [run for one in batches for run in one]
         with jobs.executor(self.on, self.jobs, self.ranks_per_run) as pool:
             files.create(study)
             if self.retry_failed:
@@ -80,11 +81,10 @@ class Run:
                 console.print(text + about(record.seconds))
                 tick()
 
-            if is_gpu:
-                each = batch.as_jobs(folder, todo)
-            else:
-                each = [jobs.Job(folder, (run,), self.ranks_per_run) for run in todo]
-            jobs.run_all(each, pool, show)
+            alone = [(run,) for run in todo]
+            together = batch.form(todo)[0] if is_gpu else alone
+            job = partial(jobs.Job, folder, ranks=self.ranks_per_run, is_batch=is_gpu)
+            jobs.run_all(map(job, together), pool, show)
         ended = [files.record(run) for run in runs]
         _print_failures(ended)
         n = Counter(record.state for record in ended)

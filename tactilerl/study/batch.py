@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,68 +22,54 @@ from .. import algos
 from ..algos import batch as learners
 from ..algos.mpi import Communicator
 from ..envs import tasks, vector
-from ..envs.batch import BatchEnv, shared
-from ..envs.grasp import GraspConfig
-from ..envs.simulators import batch as simulators
+from ..envs.batch import BatchEnv, require, shared
 from ..errors import InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
 from ..terminal.console import about, console
 from .grid import Run
-from .jobs import Job
 from .records import StudyFiles
 
 DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
 MAX_WORLDS = 16_384  # of a batch
-SAVE_EVERY, SHOW_EVERY = 60.0, 10.0  # s
+SAVE_EVERY = 60.0  # s
 SPARE = 1.25  # worlds for episodes that end early
 
 
 def require_device() -> None:
     """Raise InputError naming what is missing for `--on gpu`."""
     with input_errors("--on gpu"):
-        simulators.require(DEVICE)
+        require(DEVICE)
 
 
 # -- the study's side ------------------------------------------------------------------------
 
 
-class Batch(NamedTuple):
-    """Runs that are trained together."""
-
-    name: str
-    runs: tuple[Run, ...]
-    worlds: int
-    """Number of worlds of each run."""
-
-
 def n_worlds(config: RunConfig) -> int:
     """Return how many worlds a run plays in: an epoch's or cycle's episodes at once."""
-    learner, scene = config.learner, cast(GraspConfig, config.scene)
+    learner, scene = config.learner, config.scene
+    assert scene is not None
     if hasattr(learner, "n_rollouts"):
         return int(learner.n_rollouts)
     longest = scene.max_episode_steps or tasks.TASKS[scene.task].max_episode_steps
     return math.ceil(SPARE * learner.steps_per_epoch / (longest / 2))
 
 
-def form(runs: Sequence[Run]) -> tuple[list[Batch], list[tuple[Run, str]]]:
-    """Return batches of the runs that can be trained in one, and the others with the reason."""
+def form(runs: Sequence[Run]) -> tuple[list[tuple[Run, ...]], list[tuple[Run, str]]]:
+    """Return the runs that are trained together, batch by batch, and the others with the reason."""
     groups, others = defaultdict[Any, list[Run]](list), list[tuple[Run, str]]()
     for run in runs:
         try:
             groups[_common(run.config())].append(run)
         except ValueError as error:
             others.append((run, str(error)))
-    batches = list[Batch]()
-    for members in groups.values():
-        config = members[0].config()
-        n = n_worlds(config)
-        size = max(1, MAX_WORLDS // n)
-        for i in range(0, len(members), size):
-            name = f"{Path(config.run.env).stem} {config.run.algo}"
-            name += f" {len(batches) + 1}" if name in {b.name for b in batches} else ""
-            batches.append(Batch(name, tuple(members[i : i + size]), n))
+    batches = [
+        (*members[i : i + size],)
+        for members in groups.values()
+        for size in [max(1, MAX_WORLDS // n_worlds(members[0].config()))]
+        for i in range(0, len(members), size)
+    ]
     return batches, others
 
 
@@ -93,19 +79,8 @@ def _common(config: RunConfig) -> Any:
         raise ValueError(f"env: found {config.run.env}, allowed a hand")
     if algos.get(config.run.algo)[1] not in learners.BATCHED:
         raise ValueError(f"algo: found {config.run.algo}, which has no batched form")
-    run = config.run.env, config.run.n_test_episodes
-    return run, learners.alike(config.learner), shared(config.scene)
-
-
-def as_jobs(folder: Path, runs: Sequence[Run]) -> list[Job]:
-    """Return jobs that train runs as batches; print what is trained together."""
-    batches, _ = form(runs)
-    for one in batches:
-        n_runs = len(one.runs)
-        console.print(
-            f"batch {one.name}: {n_runs} runs, {n_runs * one.worlds:,} worlds"
-        )
-    return [Job(folder, one.runs, is_batch=True) for one in batches]
+    run, scene = config.run, shared(config.scene)
+    return run.env, run.n_test_episodes, learners.alike(config.learner), scene
 
 
 # -- a batch's process -----------------------------------------------------------------------
@@ -122,7 +97,7 @@ def train(files: StudyFiles, runs: Sequence[Run]) -> int:
             f"--batch: found {len(batches)} batches in these runs, allowed 1"
         )
     with ExitStack() as held:
-        return _Training(batches[0], files, held).train()
+        return _Training(files, batches[0], held).train()
 
 
 @dataclass
@@ -134,36 +109,33 @@ class _Member:
     epoch: int
     rows: list[training.Row] = field(default_factory=list)
     """Rows that are not in its table yet."""
-    success: float = math.nan
-    """The rate of its last epoch."""
 
 
 class _Training:
     """The runs of a batch, their files, and the batch that learns."""
 
-    def __init__(self, batch: Batch, files: StudyFiles, held: ExitStack) -> None:
-        self.name, self.files, self.members = batch.name, files, list[_Member]()
+    def __init__(self, files: StudyFiles, runs: Sequence[Run], held: ExitStack) -> None:
+        self.files, self.members = files, list[_Member]()
         alone, configs = Communicator(), list[RunConfig]()
-        for run in batch.runs:
+        for run in runs:
             run_dir = files.run_dir(run)
             config = run_dir.settled(run.config().choose({"out": str(run_dir.path)}))
             held.enter_context(training.writing(run_dir, config, alone))
             configs.append(config)
-        about: Any = {"runs": len(configs), "device": DEVICE}
-        if DEVICE != "loop":
-            about["device"] = torch.cuda.get_device_name()
-            console.print(
-                f"[{self.name}] building; where kernels are not in the cache yet, they are compiled, "
-                "which takes two to three minutes"
-            )
-        algorithm = algos.get(configs[0].run.algo)[1]
+        first, n = configs[0], n_worlds(configs[0])
+        self.name = f"{Path(first.run.env).stem} {first.run.algo}"
+        self.n_test_episodes = first.run.n_test_episodes
+        console.print(
+            f"batch {self.name}: {len(runs)} runs, {n * len(runs):,} worlds; where kernels are not in "
+            "the cache yet, they are compiled, which takes two to three minutes"
+        )
+        device = DEVICE if DEVICE == "loop" else torch.cuda.get_device_name()
+        about = {"runs": len(runs), "device": device}
+        algorithm = algos.get(first.run.algo)[1]
         with input_errors():
-            groups: Any = [(config.place[1], batch.worlds) for config in configs]
-            env = BatchEnv(configs[0].place[0], groups, DEVICE, autoreset=False)
-            about["worlds"] = env.num_envs
-            for run, config, single in zip(
-                batch.runs, configs, env.singles, strict=True
-            ):
+            groups: Any = [(config.place[1], n) for config in configs]
+            env = BatchEnv(first.place[0], groups, DEVICE, autoreset=False)
+            for run, config, single in zip(runs, configs, env.singles, strict=True):
                 options = config.run.seed, config.run.total_timesteps, env.device
                 one = algorithm(config.learner, vector.Workers(single), alone, *options)
                 checkpoint = Checkpoint(files.run_dir(run), one, alone)
@@ -171,14 +143,7 @@ class _Training:
                 self.members.append(_Member(run, checkpoint, epoch))
         singles = [one.checkpoint.learner for one in self.members]
         self.learner = learners.BATCHED[algorithm](singles, env)
-        self.n_test_episodes = configs[0].run.n_test_episodes
-        self.begin = self.saved = self.shown = time.monotonic()
-        self.steps_before = self.steps
-
-    @property
-    def steps(self) -> int:
-        """The steps of all runs so far."""
-        return sum(one.env_steps for one in self.learner.learners)
+        self.saved = time.monotonic()
 
     def train(self) -> int:
         """Train until all runs have their steps, or have failed; return the exit code."""
@@ -187,45 +152,50 @@ class _Training:
             if time.monotonic() - self.saved > SAVE_EVERY:
                 self.save()
         self.save()
-        self.show()
         return int(bool(self.learner.failures))
 
     def epoch(self) -> None:
-        """Play one epoch of each active run and learn from it, as `training` does with one."""
+        """Play one epoch of each active run and learn from it, as `training` does; print a line."""
         learner, begin = self.learner, time.perf_counter()
         singles, n_tests = learner.learners, self.n_test_episodes
-        before = [one.env_steps for one in singles]
-        collected, learned, seconds = training.cycles(learner, self.goes_on)
-        made = [one.env_steps - n for one, n in zip(singles, before, strict=True)]
-        played = [i for i, n in enumerate(made) if n]
-        tests, spent = learner.test(played), time.perf_counter() - begin
-        going = {*learner.active, *learner.failures}
-        ended = [i for i in played if n_tests and i not in going]
-        finals = learner.play_best(
-            dict.fromkeys(ended, evaluation.task(None).key), n_tests
+        before = {i: singles[i].env_steps for i in learner.active}
+        collected, learned, seconds = training.cycles(
+            learner, lambda: bool(learner.active)
         )
+        tests, spent = learner.test(before), time.perf_counter() - begin
+        played = before.keys() - learner.failures
+        ended = played - {*learner.active} if n_tests else ()
+        key = evaluation.task(None).key
+        finals = learner.play_best(dict.fromkeys(ended, key), n_tests)
         # A run's share of the batch's time, so that the sum over runs is what was spent.
         shares = [each / len(singles) for each in seconds]
+        latest = list[training.Row]()
         for i in played:
-            if i in learner.failures:
-                continue
-            one, final = self.members[i], finals.get(i, {"success_rate": ""})
+            one, steps = self.members[i], singles[i].env_steps
             one.epoch += 1
             said, read = (
                 [each[i] for each in rows if i in each] for rows in (collected, learned)
             )
-            row = training.table_row(
-                said, read, shares, tests.get(i, {}), made[i] / spent
-            )
-            one.success = row["success_rate"]
-            row = {"epoch": one.epoch, "env_steps": singles[i].env_steps, **row}
-            one.rows.append({**row, FINAL_TEST: final["success_rate"]})
+            speed = (steps - before[i]) / spent
+            row = training.table_row(said, read, shares, tests.get(i, {}), speed)
+            final = finals[i]["success_rate"] if i in finals else ""
+            row = {"epoch": one.epoch, "env_steps": steps, **row, FINAL_TEST: final}
+            one.rows.append(row)
+            latest.append(row)
+        if latest:
+            self.show(latest)
 
-    def goes_on(self) -> bool:
-        """Return whether an epoch's next cycle begins; print a line now and then."""
-        if time.monotonic() - self.shown > SHOW_EVERY:
-            self.show()
-        return bool(self.learner.active)
+    def show(self, latest: Sequence[training.Row]) -> None:
+        """Print a line about all runs, of which some have new rows."""
+        success = np.mean([row["success_rate"] for row in latest])
+        speed = sum(row["steps_per_s"] for row in latest)
+        singles = self.learner.learners
+        steps = sum(one.env_steps for one in singles)
+        total = sum(one.total_timesteps for one in singles)
+        console.print(
+            f"[{self.name}] {len(singles)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
+            f"success {success:.0%}, {about(max(0, total - steps) / speed)} left"
+        )
 
     def save(self) -> None:
         """Write the rows and states of runs that went on since the last time."""
@@ -234,21 +204,6 @@ class _Training:
         for i, one in enumerate(self.members):
             if one.rows and i not in self.learner.failures:
                 one.checkpoint.run_dir.append(*one.rows)
-                self.learner.write(i)
                 one.checkpoint.save(one.epoch)
                 one.rows.clear()
         self.saved = time.monotonic()
-
-    def show(self) -> None:
-        """Print a line about all runs."""
-        self.shown = time.monotonic()
-        spent, steps = self.shown - self.begin, self.steps
-        total = sum(one.total_timesteps for one in self.learner.learners)
-        speed = (steps - self.steps_before) / spent
-        left = about(max(0, total - steps) / speed) if speed else "?"
-        rates = [one.success for one in self.members if not math.isnan(one.success)]
-        success = f"{np.mean(rates):.0%}" if rates else "not known yet"
-        console.print(
-            f"[{self.name}] {len(self.members)} runs, steps {steps:,}/{total:,}, {speed:,.0f} steps/s, "
-            f"success: {success}, {left} left"
-        )

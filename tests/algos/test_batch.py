@@ -66,8 +66,8 @@ class PointBatch(gym.vector.VectorEnv):
         return dict.fromkeys(("is_success", "diverged", "holding"), self._over & False) | flags
 
     def step(self, actions):
-        rewards, ends, cuts = np.zeros(self.num_envs, np.float32), self._over.copy(), self._over.copy()
-        success, holding = self._over & False, self._over & False
+        rewards, nowhere = np.zeros(self.num_envs, np.float32), self._over & False
+        ends, cuts, success, holding = (nowhere.copy() for _ in range(4))
         for i, (point, action) in enumerate(zip(self.points, actions.numpy(), strict=True)):
             if self._over[i]:
                 continue
@@ -156,7 +156,6 @@ def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worl
         for want, got in zip((one.test() for one in alone), many.test(range(3)).values(), strict=True):
             assert got == pytest.approx(want, rel=1e-3)
     for i, one in enumerate(alone):
-        many.write(i)
         _same(one.state_dict(), learners[i].state_dict(), tolerance)
 
 
@@ -177,23 +176,24 @@ def _same(want, got, tolerance, where=""):
 
 
 class Breaks(PointBatch):
-    """Points of which run 1's break: their resets, observations or rewards."""
+    """Points of which run 1's break: their first steps, observations or rewards."""
 
     def __init__(self, seen, worlds, what):
         super().__init__(seen, worlds)
         self.what, self.broken = what, np.arange(self.num_envs) // worlds == 1
 
-    def reset(self, **options):
-        obs, _ = super().reset(**options)
-        return obs, self._info(diverged=self.broken & (self.what == "reset"))
-
     def step(self, actions):
         assert actions.isfinite().all()
-        obs, reward, *rest = super().step(actions)
+        over = self._over.copy()
+        obs, reward, *ends, info = super().step(actions)
         if self.what in ("observation", "reward"):
             value = obs["observation"] if self.what == "observation" else reward
             value[torch.from_numpy(self.broken)] = np.nan
-        return obs, reward, *rest
+        if self.what == "step":
+            info["diverged"] = self.broken & ~over
+            ends[1] |= torch.from_numpy(info["diverged"])
+            self._over |= self.broken
+        return obs, reward, *ends, info
 
 
 @pytest.mark.parametrize(("algo", "config"), [("ppo", PPO_CONFIG), ("ddpg_her", HER_CONFIG)])
@@ -201,7 +201,7 @@ class Breaks(PointBatch):
     "what",
     [
         *("observation", "parameter"),
-        *(pytest.param(what, marks=pytest.mark.slow) for what in ("reset", "reward")),
+        *(pytest.param(what, marks=pytest.mark.slow) for what in ("step", "reward")),
     ],
 )
 def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
@@ -213,7 +213,7 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
         many = batch.BATCHED[type(learners[0])](learners, Breaks((0, 0, 0), 2, broken))
         rows.append([(many.collect(), many.update(), many.test(range(3))) for _ in range(3)])
         assert [i for i in range(3) if i in many.failures] == [1] * bool(broken)
-    reason = "could not begin" if what == "reset" else f"{what}.*not finite"
+    reason = "could not begin" if what == "step" else f"{what}.*not finite"
     assert re.search(reason, many.failures[1])
     for want, got in zip(*rows, strict=True):
         for each, mine in zip(want, got, strict=True):
@@ -230,9 +230,24 @@ def test_tests_are_as_many_as_asked_for(monkeypatch):
     assert many.play_best({0: learner.key(2)}, 7)[0]["episodes"] == 7
 
 
+@pytest.mark.parametrize(("algo", "config"), [("ppo", PPO_CONFIG), ("ddpg_her", HER_CONFIG)])
+def test_what_is_saved_of_a_run_holds_no_other_run(algo, config):
+    """Its networks are parts of the batch's tensors, its state is not."""
+    learners = [single(algo, config, seed, n) for seed, n in ((5, 0), (6, 2))]
+    many = batch.BATCHED[type(learners[0])](learners, PointBatch((0, 2), 2))
+    many.collect(), many.update()
+    for one in learners:
+        state, weight = one.state_dict(), one.critic[0].weight
+        assert weight.untyped_storage().nbytes() > 3 * weight.nbytes
+        for part in ("actor", "critic"):
+            moments = state[f"{part}_adam"]["state"].values()
+            saved = [*state[part].values(), *(x for moment in moments for x in moment.values())]
+            assert all(x.untyped_storage().nbytes() == x.nbytes for x in saved)
+
+
 def test_a_gradient_that_is_off_changes_nothing():
     mlp = single("ppo", PPO_CONFIG, 5, 0).actor
-    networks = batch.Networks([(mlp, None)], [torch.ones(4, dtype=torch.bool)], torch.device("cpu"))
+    networks = batch.Networks([(mlp, None)], torch.device("cpu"))
     before = networks.rows.clone()
     networks.flat.grad = torch.full_like(networks.flat, np.inf)
     networks.lr, networks.on = torch.ones(1, 1), torch.zeros(1, 1)

@@ -13,7 +13,6 @@ from tactilerl.algos.ddpg_her import (
     DDPGHER,
     DDPGHERConfig,
     Exploration,
-    GoalInputs,
     td_targets,
 )
 from tactilerl.algos.mpi import Communicator
@@ -332,8 +331,9 @@ class TestUpdate:
     def test_targets_are_those_of_the_target_networks_in_what_follows(self):
         learner = trained(3, make(clip_target=False, gamma=0.9))
         drawn = learner.replay.sample(16, 0.8)
-        scaled = GoalInputs(learner.config.clip_obs, learner.obs_stats, learner.goal_stats)
-        following = scaled(torch.from_numpy(drawn.next_obs), torch.from_numpy(drawn.goal))
+        following = learner.scaling()(
+            torch.from_numpy(np.concatenate([drawn.next_obs, drawn.goal], axis=1))
+        )
         with torch.no_grad():
             actions = learner.target_actor(following)
             values = learner.target_critic(torch.cat([following, actions], dim=1)).squeeze(-1)

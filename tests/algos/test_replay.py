@@ -134,7 +134,7 @@ class TestStoring:
 def test_goal_observation_copies():
     names = ("observation", "desired_goal", "achieved_goal")
     obs = {name: np.full(2, i, np.float64) for i, name in enumerate(names)}
-    read = GoalInputs.read(None, obs)
+    read = GoalInputs(None).read(obs)
     obs["achieved_goal"][:] = 7.0
     assert read.dtype == np.float32
     assert read.tolist() == [0.0, 0.0, 1.0, 1.0, 2.0, 2.0]

@@ -61,9 +61,10 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
     assert main(args) == 0
     said = capsys.readouterr().out
     assert "not on a GPU: bullet_s0: simulator of a batch: found 'pybullet'" in said
-    assert "batch mpl ppo: 4 runs" in said
-    assert "batch mpl ddpg_her: 2 runs" in said
     all_records = [one for one in records.load(out)[1] if one.run.setup != "bullet"]
+    logs = "".join(path.read_text() for path in sorted((out / "runs").glob("*.log")))
+    assert "batch mpl ppo: 4 runs" in logs
+    assert "batch mpl ddpg_her: 2 runs" in logs
     assert [one.state for one in all_records] == 6 * ["done"]
     for one in all_records:
         (made,) = one.config["provenance"]
