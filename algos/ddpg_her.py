@@ -32,7 +32,7 @@ from . import (
 )
 from .learner import Learner, LearnerConfig, RewardScale
 from .networks import MLP, flushed_denormals
-from .normalizer import MIN_STD, Normalizer, Scaling, joined
+from .normalizer import MIN_STD, Normalizer, Scaling
 from .policy import (
     FlatInputs,
     Policy,
@@ -91,9 +91,9 @@ class DDPGHERConfig(LearnerConfig):
     """Bound on observations and goals after they are normalized."""
     min_std: Positive32 = MIN_STD
     """Smallest standard deviation that an observation is divided by, in its own unit; for entries
-    between 0 and 1, such as Boolean taxels, it is 0.01. With 1, what varies less stays small, such as
-    the noise of a joint that stands still; with a small one, it is scaled up until it counts as much as
-    what matters."""
+    between 0 and 1, such as Boolean taxels, it is 0.01. With --min-std 1, what varies less stays small,
+    such as the noise of a joint that stands still; with a small one, it is scaled up until it counts as
+    much as what matters."""
     taxel_scale: TaxelScale = "each"
     """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
     gain for all, so that together they count as much as 24 normalized inputs, however many they
@@ -122,7 +122,8 @@ class DDPGHERConfig(LearnerConfig):
     """Combination of the gradients of several processes (baselines: sum)."""
     clip_target: bool = True
     """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (baselines), wider
-    once rewards below -1 or above 0 are seen. With --normalize-rewards it begins at 0 to 0."""
+    once rewards below -1 or above 0 are seen. With --normalize-rewards it begins at 0 to 0, and
+    is widened before the first update."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
     since baselines has no done mask; terminal: it is not. Whether a relabelled goal ends the episode
@@ -132,7 +133,7 @@ class DDPGHERConfig(LearnerConfig):
     normalize_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
     reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean
-    the same; rewards of -1 and 0 stay as they are."""
+    the same; rewards of -1 and 0 stay as they are once a whole episode has failed."""
 
     @property
     def anneals(self) -> bool:
@@ -224,7 +225,7 @@ class Exploration:
         if self._is_random is None:  # the first step has the same share as all others
             is_new, is_held = chance < self.random_eps, np.zeros(chance.shape, bool)
             self._random = drawn
-        else:  # a hold ends with probability 1 / hold, and another may follow at once
+        else:  # one draw decides both: a hold ends below 1 / hold, and another may follow at once
             begin = np.where(self._is_random, self._begin / hold, self._begin)
             is_new = chance < begin
             is_held = self._is_random & (chance >= 1.0 / hold)
@@ -233,13 +234,24 @@ class Exploration:
         return np.where(self._is_random, self._random, noisy)
 
 
+def joined(*stats: Normalizer) -> Scaling:
+    """Return what normalizers do to their columns side by side."""
+    each = (one.scaling() for one in stats)
+    return Scaling(*map(torch.cat, zip(*each, strict=True)))
+
+
 class GoalInputs(FlatInputs):
     """Flatten and scale observation and desired goal; keep the achieved goal, which is not seen."""
 
     def read(self, obs: Any) -> Array:
         """Return observation, desired and achieved goal side by side."""
-        whole = {"achieved_goal": obs["desired_goal"], **obs}  # networks do not see it
+        # Where an observation has no achieved goal, the desired one stands in: nothing reads it.
+        whole = {"achieved_goal": obs["desired_goal"], **obs}
         return np.concatenate([np.ravel(whole[key]) for key in VIEW], dtype=np.float32)
+
+    def stack(self, views: Sequence[Array]) -> Tensor:
+        seen = torch.from_numpy(np.stack(views))  # ordered as `VIEW`
+        return self.scaling(seen[:, : len(self.scaling.limit)])
 
 
 class DDPGHER(Learner):
@@ -376,7 +388,7 @@ class DDPGHER(Learner):
         config, n = self.config, self.config.n_batches
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
-        self.rescale(drawn.reward)
+        self.rescale(drawn.reward)  # and widen the bounds of targets
         sums = self.learn(self._as_inputs(drawn))
         self.updates += n
         over_ranks = self.comm.sum((sums / n).cpu().double().numpy())

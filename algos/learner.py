@@ -72,8 +72,8 @@ class Learner(ABC):
     ) -> None:
         """Prepare to learn in `workers` until `total_timesteps` over all ranks.
 
-        Raises ValueError where hyperparameters or spaces do not fit. On one of several ranks there is
-        one core, as messages are exchanged one after another.
+        Raises ValueError where hyperparameters or spaces do not fit. With several ranks, each learns on
+        one core, whatever `cores` says.
         """
         config.validate()
         self.config, self.workers, self.comm = config, workers, comm
@@ -148,9 +148,8 @@ class Learner(ABC):
 
     def adam(self, parameters: list[nn.Parameter], lr: float) -> torch.optim.Adam:
         """Return Adam (Kingma & Ba 2014) on `parameters`."""
-        is_fused = self.device.type in ("cpu", "cuda")
         group = {"params": parameters, "initial_lr": lr}
-        return torch.optim.Adam([group], lr, fused=is_fused)
+        return torch.optim.Adam([group], lr, fused=True)
 
     def anneal(self, *adams: torch.optim.Adam) -> None:
         """Set learning rates to what is left of the run, from 1 to 0, times those at its start."""
@@ -210,7 +209,7 @@ class Counts:
 
 
 class RewardScale(Counts):
-    """Follow the bounds of a run's rewards and, where asked, the largest scale of its returns so far.
+    """Follow the bounds of a run's rewards (DDPG+HER) and, where asked, the largest return so far.
 
     Rewards are divided by that scale. As it grows, the critics' last layers shrink, so that values in
     the environment's unit stay (PopArt, van Hasselt et al. 2016).

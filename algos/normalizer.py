@@ -61,16 +61,14 @@ class Normalizer:
         size: int,
         comm: Communicator,
         clip: float = math.inf,
-        as_is: Array | None = None,
-        block: Array | None = None,
+        as_is: bool | Array = False,
+        block: bool | Array = False,
         min_std: float | Array = MIN_STD,
         bound: float = math.inf,
     ) -> None:
-        nothing = np.zeros(size, bool)
         self.comm, self.clip, self.bound = comm, clip, bound
         self.min_std = np.full(size, min_std, np.float64)
-        self.as_is = nothing if as_is is None else as_is
-        self.block = nothing if block is None else block
+        self.as_is, self.block = np.full(size, as_is), np.full(size, block)
         self.count = 0.0
         self.mean = np.zeros(size)
         self.squares = np.zeros(size)  # sum of squared deviations from the mean
@@ -78,7 +76,10 @@ class Normalizer:
 
     @property
     def std(self) -> Array:
-        """Divisor of each column, float64 (size,): at least `min_std`, 1 before the first update."""
+        """Divisor of each column, float64 (size,): at least `min_std`.
+
+        Before the first update it is 1, and in a block sqrt(1 / BLOCK_NORM).
+        """
         is_new = self.count == 0
         variance = np.ones_like(self.mean) if is_new else self.squares / self.count
         norm = (PRIOR_ROWS + self.block_squares) / (PRIOR_ROWS + self.count)
@@ -125,9 +126,3 @@ class Normalizer:
                 setattr(self, name, state[name].numpy().copy())
         for name in NUMBERS:
             setattr(self, name, float(state[name]))
-
-
-def joined(*stats: Normalizer) -> Scaling:
-    """Return what several do to their columns side by side."""
-    each = (one.scaling() for one in stats)
-    return Scaling(*map(torch.cat, zip(*each, strict=True)))

@@ -116,8 +116,7 @@ class FlatInputs:
         return np.concatenate([np.ravel(part) for part in parts], dtype=np.float32)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        seen = torch.from_numpy(np.stack(views))[:, : len(self.scaling.limit)]
-        return self.scaling(seen)
+        return self.scaling(torch.from_numpy(np.stack(views)))
 
 
 def input_stats(

@@ -85,13 +85,13 @@ class PPOConfig(LearnerConfig):
     """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
     uniform in ±1/sqrt(inputs)."""
     normalize_obs: bool = False
-    """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
-    Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
+    """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5;
+    in the first epoch, which has none, they are only clipped. Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     min_std: Positive32 = MIN_STD
     """Smallest standard deviation that an observation is divided by, in its own unit; for entries
-    between 0 and 1, such as Boolean taxels, it is 0.01. With 1, what varies less stays small, such as
-    the noise of a joint that stands still; with a small one, it is scaled up until it counts as much as
-    what matters."""
+    between 0 and 1, such as Boolean taxels, it is 0.01. With --min-std 1, what varies less stays small,
+    such as the noise of a joint that stands still; with a small one, it is scaled up until it counts as
+    much as what matters."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
     all, so that together they count as much as 24 normalized inputs, however many they are; each:
@@ -102,16 +102,17 @@ class PPOConfig(LearnerConfig):
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """Treatment of a time limit. bootstrap: the return continues with the critic's value of the last
     observation, cut to the range of its other values; terminal: the return ends. In the paper's task a
-    time-out is a failure, with -100."""
+    time-out terminates the episode, with -100, so both are the same."""
     anneal_lr: bool = False
     """Decay all learning rates to zero, linearly over the run (in the paper's code, not its text)."""
     target_kl: Positive32 | None = None
     """End an epoch's passes, the critic's too, after one whose last minibatch has a larger KL
     divergence from the old policy (in the paper's code, not in its text)."""
     undo_silent: bool = False
-    """Do not update the actor from epochs in which every episode fails, and undo the update before
-    them. A policy that meets no reward would otherwise learn from noise. What a failure is shows once
-    episodes differ; until then, every epoch is learned from."""
+    """Do not update the actor from epochs in which every episode fails; where chance no longer explains
+    so many failures, undo what it learned from the epoch before them. A policy that meets no reward
+    would otherwise learn from noise. What a failure is shows once episodes differ; until then, every
+    epoch is learned from."""
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
@@ -257,7 +258,7 @@ class Silence(Counts):
     - All failed, in so many episodes since the last update that the policy before it would have done so
       with a probability below `LEVEL`: undo. Nothing more is undone until there is another update.
 
-    A failure has the lowest return of an epoch in which returns differed. The policy before the update
+    A failure has the lowest return of the last epoch in which returns differed, or a lower one. The policy before the update
     is known by its failures and its other episodes, which fade by `KEEP` from one update to the next:
     they speak of the last five or so. Its success rate is what they leave uncertain (Beta distribution,
     Jeffreys' prior). Of updates that change nothing, about one in fifty is undone.
@@ -280,7 +281,8 @@ class Silence(Counts):
             return "learn"  # nobody knows yet what a failure is
         if lowest < highest and lowest != self.failure:
             # Another return is a failure now, so counts begin anew. Where rewards are dense, that is
-            # in nearly every epoch, and nothing is ever undone.
+            # in nearly every epoch, and all that is undone are updates after which every return is
+            # below the lowest of before.
             self.failure, self.failed, self.others, self.failed_since = lowest, 0, 0, 0
         failed = returns.count(self.failure)
         self.failed = self.KEEP * self.failed + self.failed_since + failed
@@ -323,8 +325,15 @@ class PPO(Learner):
     """
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    trained = ("critic", "actor_adam", "std_adam", "critic_adam")
-    saved = (*policy_parts, *trained, "silence", "reward_scale")
+    saved = (
+        *policy_parts,
+        "critic",
+        "actor_adam",
+        "std_adam",
+        "critic_adam",
+        "silence",
+        "reward_scale",
+    )
     plain = ("env_steps", "epochs", "before_update")
 
     def build(self, generator: torch.Generator) -> None:
@@ -423,12 +432,14 @@ class PPO(Learner):
                 if limit and of_actor[-1].kl.item() > limit:
                     break
         actor_losses = actor_losses or [ActorLoss(*torch.zeros(3))]  # in a silent epoch
-        losses = ActorLoss(*map(torch.stack, zip(*actor_losses, strict=True)))
+        policy_loss, kl, clip_fraction = (
+            torch.stack(each).mean().item() for each in zip(*actor_losses, strict=True)
+        )
         figures = {
-            "policy_loss": losses.policy_loss.mean().item(),
+            "policy_loss": policy_loss,
             "value_loss": torch.stack(value_losses).mean().item(),
-            "kl": losses.kl.mean().item(),
-            "clip_fraction": losses.clip_fraction.mean().item(),
+            "kl": kl,
+            "clip_fraction": clip_fraction,
         }
         self.check_learned([*figures.values()], self.actor, self.gaussian, self.critic)
         return figures | self.after_update(batch, verdict, len(value_losses))
@@ -544,8 +555,9 @@ class PPO(Learner):
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        # Ours: the critic is never fitted to a last observation, so its value there is cut to the range
-        # of the others. With time in the observation, returns would grow from epoch to epoch.
+        # Not in the paper's code: the critic is never fitted to a last observation, so its value there
+        # is cut to the range of the others. Uncut, and with time in the observation, returns would grow
+        # from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
             # The return continues at a time limit, and always where physics diverged.

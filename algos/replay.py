@@ -62,7 +62,8 @@ class Replay:
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
 
-        Without `compute_terminated`, a new goal leaves the episode's end as it was.
+        Without `compute_terminated`, a new goal leaves the episode's end as it was; where it returns
+        None, rewards say whether a new goal ends it (`_terminal`).
 
         Raises ValueError when not a single episode has room.
         """
@@ -97,7 +98,7 @@ class Replay:
     def require_rewards(self, episode: Episode) -> None:
         """Raise ValueError when an episode's rewards do not follow from its goals.
 
-        Rewards of relabelled transitions are computed so.
+        The rewards of all transitions that are drawn are computed so; none is stored.
         """
         given = np.array(episode.rewards)
         _, desired, achieved = self._parts(episode)
@@ -220,7 +221,7 @@ class Replay:
     def new_experience(self, everything: bool = False) -> dict[str, Tensor]:
         """Return the slots written since the last call, or all; tensors, for `add_experience`.
 
-        All of it is a view, good until the next episode is stored.
+        With `everything` it may be a view, good until the next episode is stored.
         """
         written = range(self.n_episodes) if everything else dict.fromkeys(self._unsaved)
         slots, self._unsaved = np.array([*written], np.int64), []

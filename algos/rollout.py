@@ -40,7 +40,7 @@ class Episode:
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
     success: float = math.nan
-    """Success at the end, 1 or 0; nan where the environment does not say, 0 where physics diverged."""
+    """Success at the end, 1 or 0; nan where the environment does not say, 0 where it could not begin."""
     held: int = 0
     """Steps for which success had stood by the end."""
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
@@ -71,8 +71,8 @@ class PlayEpisode:
         One that cannot begin, because the reset raises a FloatingPointError, has no step and counts
         as diverged.
 
-        Raises DivergenceError when an observation or a reward is not finite, and EndlessError when
-        the episode does not end.
+        Raises DivergenceError, which ends the run, when an observation or a reward is not finite. A step
+        that `info` calls diverged only ends the episode. Raises EndlessError when it does not end.
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = policy.explore(rng) if self.explores else None
