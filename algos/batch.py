@@ -1,11 +1,13 @@
 """Learn many runs of one kind at once, each as it would learn alone.
 
-Each run has its single learner, PPO or DDPGHER. That keeps and relabels episodes, follows rewards and
-computes advantages, as it does by itself, and its equations are used for all. Here are the two things
-that are faster for all runs together: playing, in a vector environment, and the networks. Those are
-stacked: every tensor has the runs in front, (E, ...).
+Each run has its single learner, PPO or DDPGHER. That keeps and relabels episodes,
+follows rewards and computes advantages, as it does by itself, and its equations are
+used for all. Here are the two things that are faster for all runs together: playing, in
+a vector environment, and the networks. Those are stacked: every tensor has the runs in
+front, (E, ...).
 
-Episodes are whole, and those of the single learner: number and key give their start and their noise.
+Episodes are whole, and those of the single learner: number and key give their start and
+their noise.
 """
 
 from __future__ import annotations
@@ -53,9 +55,9 @@ def alike(config: Any) -> tuple[Any, ...]:
 class Networks:
     """Hold one network of each run in one tensor, `flat` (E, parameters), and its Adam.
 
-    What a run has alone are the last numbers of its row, weights as (inputs, outputs): its module and
-    its Adam keep them there. Before them are weights of inputs that only others have, for which it is
-    given zeros: they stay zero.
+    What a run has alone are the last numbers of its row, weights as (inputs, outputs):
+    its module and its Adam keep them there. Before them are weights of inputs that only
+    others have, for which it is given zeros: they stay zero.
     """
 
     on: Tensor
@@ -139,8 +141,9 @@ class Networks:
 class BatchLearner:
     """Learn E runs at once; `collect` and `update` in turn, as a single learner does.
 
-    A run is active until it has its steps, or fails: `failures` says why, by run. It plays in W worlds
-    of its own, `i` W to `(i + 1)` W, all at once; one that has enough episodes waits for the others.
+    A run is active until it has its steps, or fails: `failures` says why, by run. It
+    plays in W worlds of its own, `i` W to `(i + 1)` W, all at once; one that has enough
+    episodes waits for the others.
     """
 
     view: ClassVar[Sequence[str]]
@@ -153,10 +156,11 @@ class BatchLearner:
     def __init__(self, learners: Sequence[Any], env: Any) -> None:
         """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
 
-        It is Gymnasium's VectorEnv with autoreset off, whose observations are tensors; of worlds whose
-        episodes have ended, it says False. Where its info has ``holding``, a step of those worlds is
-        not over: it ends with the call that says so no more, and all actions but its first are ignored.
-        The episode ends with that step.
+        It is Gymnasium's VectorEnv with autoreset off, whose observations are tensors;
+        of worlds whose episodes have ended, it says False. Where its info has
+        ``holding``, a step of those worlds is not over: it ends with the call that says
+        so no more, and all actions but its first are ignored. The episode ends with
+        that step.
         """
         self.learners, self.env = learners, env
         self.n_worlds = env.num_envs // len(learners)
@@ -178,7 +182,8 @@ class BatchLearner:
         (self.n_actions,) = env.single_action_space.shape
         self.e = torch.arange(len(learners), device=self.device)[:, None]
         self.pads = [self.n_inputs - one.n_inputs for one in learners]
-        """Number of inputs that each run does not have; here they come first, and are zero."""
+        """Number of inputs that each run does not have; here they come first, and are
+        zero."""
         pads = np.repeat(self.pads, self.n_worlds)[:, None]
         order = (np.arange(self.width) - pads) % self.width
         self.order = torch.tensor(order, device=self.device)
@@ -442,8 +447,8 @@ class BatchPPO(BatchLearner):
     def _step(self, batch: Transitions, rows: Tensor, learns: Tensor) -> Tensor:
         """Take an Adam step of critics, and of actors that learn, on a minibatch of each run.
 
-        `rows` (E, n) are -1 where a run has fewer than others. Returns policy loss, KL estimate,
-        clipped fraction and value loss, and 1 where there is any row, (5, E).
+        `rows` (E, n) are -1 where a run has fewer than others. Returns policy loss, KL
+        estimate, clipped fraction and value loss, and 1 where there is any row, (5, E).
         """
         has_row = rows >= 0
         is_any = has_row[:, :1].float()
@@ -490,7 +495,8 @@ class BatchDDPGHER(BatchLearner):
         self.critic = self.stacked("critic", "critic_adam")
         targets = self.stacked("target_actor"), self.stacked("target_critic")
         self.networks = [self.actor, self.critic, *targets]
-        # It learns for all: its networks are stacks, so what it computes has the runs in front.
+        # It learns for all: its networks are stacks, so what it computes has the runs
+        # in front.
         self.whole = whole = copy.copy(singles[0])
         whole.actor = whole.actor_adam = self.actor
         whole.critic = whole.critic_adam = self.critic

@@ -1,9 +1,9 @@
 """Deep deterministic policy gradient (Lillicrap et al. 2016) with hindsight experience replay.
 
-Read from top to bottom: the choices, what it computes, the learner. The order of operations is OpenAI
-baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch is `n_cycles`
-times {episodes, normalizer, `n_batches` updates, one or more moves of the target networks}, then test
-episodes without noise.
+Read from top to bottom: the choices, what it computes, the learner. The order of
+operations is OpenAI baselines' (baselines/her), which the paper used through Melnik et
+al. 2021: an epoch is `n_cycles` times {episodes, normalizer, `n_batches` updates, one
+or more moves of the target networks}, then test episodes without noise.
 """
 
 from __future__ import annotations
@@ -79,10 +79,11 @@ class DDPGHERConfig(LearnerConfig):
     polyak: Fraction = 0.95
     """Weight of the old target network when it moves; tau elsewhere is 1 - polyak."""
     target_update_interval: Count | None = None
-    """Updates between two moves of the target networks, which move at the end of a cycle at the latest;
-    default: one move per cycle, as in baselines."""
+    """Updates between two moves of the target networks, which move at the end of a
+    cycle at the latest; default: one move per cycle, as in baselines."""
     gamma: Annotated[float, "[0, 1)"] | None = None
-    """Discount factor; default: 1 - 1/T, where T is the length of an episode, as in baselines."""
+    """Discount factor; default: 1 - 1/T, where T is the length of an episode, as in
+    baselines."""
     action_l2: NotNegative = 1.0
     """Weight of the mean squared action in the actor's loss."""
     clip_obs: Positive32 = 200.0
@@ -90,14 +91,14 @@ class DDPGHERConfig(LearnerConfig):
     norm_clip: Positive32 = 5.0
     """Bound on observations and goals after they are normalized."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit; for entries
-    between 0 and 1, such as Boolean taxels, it is 0.01. With --min-std 1, what varies less stays small,
-    such as the noise of a joint that stands still; with a small one, it is scaled up until it counts as
-    much as what matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit;
+    for entries between 0 and 1, such as Boolean taxels, it is 0.01. With --min-std 1,
+    what varies less stays small, such as the noise of a joint that stands still; with a
+    small one, it is scaled up until it counts as much as what matters."""
     taxel_scale: TaxelScale = "each"
-    """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
-    gain for all, so that together they count as much as 24 normalized inputs, however many they
-    are; each: every one normalized by itself."""
+    """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they
+    are; block: one gain for all, so that together they count as much as 24 normalized
+    inputs, however many they are; each: every one normalized by itself."""
     batch_size: Count = 256
     """Transitions per update, in each process."""
     n_rollouts: Count = 2
@@ -111,29 +112,33 @@ class DDPGHERConfig(LearnerConfig):
     random_eps: Fraction = 0.3
     """Share of steps with a uniformly random action."""
     random_hold: Annotated[float, "[1, 1e6]"] = 1.0
-    """Mean number of steps for which a random action is held: of a geometric distribution (temporally
-    extended exploration, Dabney et al. 2021). Their share of steps stays --random-eps."""
+    """Mean number of steps for which a random action is held: of a geometric
+    distribution (temporally extended exploration, Dabney et al. 2021). Their share of
+    steps stays --random-eps."""
     noise_eps: NotNegative = 0.2
-    """Standard deviation of the noise on other actions, relative to half the action range."""
+    """Standard deviation of the noise on other actions, relative to half the action
+    range."""
     replay_p: Fraction | None = None
-    """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 if the task
-    has a single goal."""
+    """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper),
+    or 0 if the task has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
     """Combination of the gradients of several processes (baselines: sum)."""
     clip_target: bool = True
-    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (baselines), wider
-    once rewards below -1 or above 0 are seen. With --normalize-rewards it begins at 0 to 0, and
-    is widened before the first update."""
+    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0
+    (baselines), wider once rewards below -1 or above 0 are seen. With
+    --normalize-rewards it begins at 0 to 0, and is widened before the first update."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Treatment of an episode's end by termination. bootstrap: the target network's value is added,
-    since baselines has no done mask; terminal: it is not. Whether a relabelled goal ends the episode
-    is what the environment's compute_terminated says, as Gymnasium-Robotics' have it. Without one, it
-    ends where its reward is as high as at the ends that were seen, if all of those were higher than
-    the rewards of all other steps."""
+    """Treatment of an episode's end by termination. bootstrap: the target network's
+    value is added, since baselines has no done mask; terminal: it is not. Whether a
+    relabelled goal ends the episode is what the environment's compute_terminated says,
+    as Gymnasium-Robotics' have it. Without one, it ends where its reward is as high as
+    at the ends that were seen, if all of those were higher than the rewards of all
+    other steps."""
     normalize_rewards: bool = False
-    """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
-    reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean
-    the same; rewards of -1 and 0 stay as they are once a whole episode has failed."""
+    """Divide rewards by a running scale, so that the largest return so far counts as
+    much as that of a reward of 1 in every step. Whatever unit rewards have, --action-l2
+    and the learning rates then mean the same; rewards of -1 and 0 stay as they are once
+    a whole episode has failed."""
 
     @property
     def anneals(self) -> bool:
@@ -157,8 +162,8 @@ def td_targets(
 ) -> Tensor:
     """Return the critic's targets (n,): r + gamma Q'(next), from arguments (n,).
 
-    `terminal` is 1 where nothing follows. Values are cut to the returns that rewards in `span` can
-    make (Andrychowicz et al. 2017, appendix A).
+    `terminal` is 1 where nothing follows. Values are cut to the returns that rewards in
+    `span` can make (Andrychowicz et al. 2017, appendix A).
     """
     values = rewards + gamma * (1.0 - terminal) * next_values
     return (
@@ -192,9 +197,10 @@ def actor_loss(
 class Exploration:
     """Make the actions of one episode noisy, and some of them random for several steps.
 
-    This is the exploration of OpenAI baselines (Gaussian noise, and a uniformly random action with
-    probability `random_eps`), where random actions are held for a geometric number of steps with mean
-    `random_hold` (Dabney et al. 2021). Their share of steps is `random_eps` from the first step on.
+    This is the exploration of OpenAI baselines (Gaussian noise, and a uniformly random
+    action with probability `random_eps`), where random actions are held for a geometric
+    number of steps with mean `random_hold` (Dabney et al. 2021). Their share of steps
+    is `random_eps` from the first step on.
     """
 
     def __init__(
@@ -207,8 +213,8 @@ class Exploration:
         """Take numbers, or columns (n, 1) with one for each row of actions."""
         self.rng, self.noise_eps, self.random_eps = rng, noise_eps, random_eps
         self.random_hold = random_hold
-        # Probability q that a random action begins where none is held: where holds last h steps
-        # on average, a share of h q / (h q + 1 - q) of all steps is random.
+        # Probability q that a random action begins where none is held: where holds last
+        # h steps on average, a share of h q / (h q + 1 - q) of all steps is random.
         self._begin = random_eps / (random_eps + random_hold * (1.0 - random_eps))
         # Which rows were random in the last step, (n, 1); None before the first.
         self._is_random: Array | None = None
@@ -245,7 +251,8 @@ class GoalInputs(FlatInputs):
 
     def read(self, obs: Any) -> Array:
         """Return observation, desired and achieved goal side by side."""
-        # Where an observation has no achieved goal, the desired one stands in: nothing reads it.
+        # Where an observation has no achieved goal, the desired one stands in: nothing
+        # reads it.
         whole = {"achieved_goal": obs["desired_goal"], **obs}
         return np.concatenate([np.ravel(whole[key]) for key in VIEW], dtype=np.float32)
 
@@ -257,8 +264,9 @@ class GoalInputs(FlatInputs):
 class DDPGHER(Learner):
     """Learn by DDPG with hindsight: actor, critic, their targets and the replay.
 
-    A cycle is `collect` and `update`; an epoch is some cycles and `test`. Learners of many runs at once
-    (`batch`) play by themselves; they call `begin`, `wants_more`, `keep`, `rescale` and `learn`.
+    A cycle is `collect` and `update`; an epoch is some cycles and `test`. Learners of
+    many runs at once (`batch`) play by themselves; they call `begin`, `wants_more`,
+    `keep`, `rescale` and `learn`.
     """
 
     replay: Replay
@@ -430,7 +438,8 @@ class DDPGHER(Learner):
     def _update_networks(self, batch: Batch) -> Tensor:
         """Take one Adam step of critic and actor, both from the same parameters.
 
-        Returns the critic's loss, the actor's loss and the mean Q of the actor's actions, (3, ...).
+        Returns the critic's loss, the actor's loss and the mean Q of the actor's
+        actions, (3, ...).
         """
         critic_loss, actor_losses = self.in_two_threads(
             partial(self._critic_gradient, batch),
@@ -451,7 +460,8 @@ class DDPGHER(Learner):
         errors = q_values(self.critic, batch.obs, batch.action) - targets
         loss = errors.square().mean(dim=-1)
         self.critic_adam.zero_grad()
-        # A sum over runs, where there are several in front: each has parameters of its own.
+        # A sum over runs, where there are several in front: each has parameters of its
+        # own.
         loss.sum().backward(inputs=self.critic_parameters)  # type: ignore[no-untyped-call]
         return loss.detach()
 
@@ -493,9 +503,10 @@ class DDPGHER(Learner):
     def rescale(self, rewards: Array) -> None:
         """Follow the rewards that were drawn (n,), of all ranks: their bounds, and a running scale.
 
-        The scale is what makes the largest return so far as large as that of a reward of 1 in every
-        step; a relabelled reward may exceed all returns that were played. As it grows, the critics'
-        outputs shrink, so that values in the environment's unit stay.
+        The scale is what makes the largest return so far as large as that of a reward
+        of 1 in every step; a relabelled reward may exceed all returns that were played.
+        As it grows, the critics' outputs shrink, so that values in the environment's
+        unit stay.
         """
         mine = rewards.min(), rewards.max(), self._largest_return
         lows, highs, largest = zip(*self.comm.all_gather(mine), strict=True)

@@ -44,9 +44,9 @@ class LearnerConfig:
 class Learner(ABC):
     """Learn from episodes: `collect` and `update` in turn. A subclass is one algorithm.
 
-    Random numbers follow from the seed and the counters, so these and the states of its parts are all
-    that a checkpoint needs after `update`. Networks start from the seed alone, so they are the same on
-    all ranks.
+    Random numbers follow from the seed and the counters, so these and the states of its
+    parts are all that a checkpoint needs after `update`. Networks start from the seed
+    alone, so they are the same on all ranks.
     """
 
     policy_parts: ClassVar[Sequence[str]]
@@ -54,7 +54,8 @@ class Learner(ABC):
     saved: ClassVar[Sequence[str]]
     """Attributes that have states of their own, the policy's among them."""
     plain: ClassVar[Sequence[str]]
-    """Attributes that are saved as they are: numbers, or dicts of numbers and tensors."""
+    """Attributes that are saved as they are: numbers, or dicts of numbers and
+    tensors."""
     cycles_per_epoch = 1
     """Number of times that an epoch collects and updates."""
     replay: Any = None
@@ -72,8 +73,8 @@ class Learner(ABC):
     ) -> None:
         """Prepare to learn in `workers` until `total_timesteps` over all ranks.
 
-        Raises ValueError where hyperparameters or spaces do not fit. With several ranks, each learns on
-        one core, whatever `cores` says.
+        Raises ValueError where hyperparameters or spaces do not fit. With several
+        ranks, each learns on one core, whatever `cores` says.
         """
         config.validate()
         self.config, self.workers, self.comm = config, workers, comm
@@ -162,9 +163,9 @@ class Learner(ABC):
     ) -> tuple[A, B]:
         """Return what both functions return, computed at the same time where there are two cores.
 
-        They must share nothing that they write to; then the results do not depend on the cores.
-        PyTorch lets go of Python's lock while it computes. An error of either is raised once both
-        have ended.
+        They must share nothing that they write to; then the results do not depend on
+        the cores. PyTorch lets go of Python's lock while it computes. An error of
+        either is raised once both have ended.
         """
         if self._second_thread is None:
             return first(), second()
@@ -211,8 +212,8 @@ class Counts:
 class RewardScale(Counts):
     """Follow the bounds of a run's rewards (DDPG+HER) and, where asked, the largest return so far.
 
-    Rewards are divided by that scale. As it grows, the critics' last layers shrink, so that values in
-    the environment's unit stay (PopArt, van Hasselt et al. 2016).
+    Rewards are divided by that scale. As it grows, the critics' last layers shrink, so
+    that values in the environment's unit stay (PopArt, van Hasselt et al. 2016).
     """
 
     def __init__(self, is_running: bool, lowest: float = 0.0) -> None:
@@ -254,7 +255,8 @@ def second_thread() -> ThreadPoolExecutor:
 def states(parts: Mapping[str, Any]) -> dict[str, Any]:
     """Return copies of the states of parts, by name.
 
-    Of tensors that are part of a larger one, as those of a batch of runs are, only the part is copied.
+    Of tensors that are part of a larger one, as those of a batch of runs are, only the
+    part is copied.
     """
     state = {name: part.state_dict() for name, part in parts.items()}
     return tree_map_only(Tensor, torch.clone, state)  # type: ignore[no-any-return]

@@ -65,7 +65,8 @@ def launched_rank() -> str | None:
 def world() -> Communicator:
     """Return all ranks of this launch; a lone Communicator without a launcher or for a launch of one.
 
-    Without mpi4py, rank 0 of a launch whose size nobody told is alone. ImportError on several ranks.
+    Without mpi4py, rank 0 of a launch whose size nobody told is alone. ImportError on
+    several ranks.
     """
     size = next((os.environ[name] for name in SIZES if name in os.environ), None)
     if launched_rank() is None or size == "1":

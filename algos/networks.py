@@ -18,8 +18,8 @@ FLOAT32_TINY = np.finfo(np.float32).tiny
 class MLP(nn.Sequential):
     """Stack linear layers with ReLU between them, and optionally Tanh at the end.
 
-    Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn from
-    `generator`, so that no global random state is involved.
+    Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn
+    from `generator`, so that no global random state is involved.
     """
 
     def __init__(
@@ -59,8 +59,8 @@ def start_orthogonal(
 def flushed_denormals() -> Iterator[None]:
     """Treat denormal numbers as zero inside, in this thread.
 
-    Adam's moments of units that are never active fade until they are denormal, and slow. Whoever
-    steps physics outside must not notice.
+    Adam's moments of units that are never active fade until they are denormal, and
+    slow. Whoever steps physics outside must not notice.
     """
     before = bool(
         FLOAT32_TINY * np.float32(0.5) == 0

@@ -14,18 +14,21 @@ from . import Array, Communicator
 ARRAYS = "as_is", "block", "min_std", "mean", "squares"
 NUMBERS = "count", "block_squares"
 MIN_STD = 0.01
-"""Default floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
+"""Default floor of the standard deviation (OpenAI baselines): constant columns stay
+near zero."""
 BLOCK_NORM = 24.0
-"""Mean squared norm that a block of columns is given: that of as many standardized columns."""
+"""Mean squared norm that a block of columns is given: that of as many standardized
+columns."""
 PRIOR_ROWS = 1000
-"""Rows, each of squared norm 1, that a block's moments begin with, so that its gain never jumps."""
+"""Rows, each of squared norm 1, that a block's moments begin with, so that its gain
+never jumps."""
 
 
 class Scaling(NamedTuple):
     """Map values, cut to ±bound, to (values - mean) / std, cut to ±limit.
 
-    The mean is subtracted in two parts, so that float32 keeps the digits of values that lie far
-    from zero.
+    The mean is subtracted in two parts, so that float32 keeps the digits of values that
+    lie far from zero.
     """
 
     mean_high: Tensor
@@ -47,13 +50,14 @@ class Normalizer:
     Moments are merged batch by batch in float64 (Chan, Golub & LeVeque 1979), because
     E[x²] - E[x]² loses every digit when the mean is large against the spread.
 
-    Two masks, bool (size,), name columns that are treated otherwise. Those of `as_is` are not
-    changed at all. Those of `block` share one gain and keep their zero: the block's squared norm
-    is `BLOCK_NORM` on average, however many columns it has and however rarely each is not zero. Its
-    values are cut at ±`clip` like all others, which a rare single column may reach.
+    Two masks, bool (size,), name columns that are treated otherwise. Those of `as_is`
+    are not changed at all. Those of `block` share one gain and keep their zero: the
+    block's squared norm is `BLOCK_NORM` on average, however many columns it has and
+    however rarely each is not zero. Its values are cut at ±`clip` like all others,
+    which a rare single column may reach.
 
-    Columns are divided by at least `min_std`: one for all, or one each (size,). What is beyond ±`bound`
-    counts as if it were there.
+    Columns are divided by at least `min_std`: one for all, or one each (size,). What is
+    beyond ±`bound` counts as if it were there.
     """
 
     def __init__(

@@ -130,8 +130,9 @@ def input_stats(
 ) -> Normalizer:
     """Return moments of flat observations, before anything was seen.
 
-    Entries between 0 and 1, such as Boolean taxels, are scaled as `taxel_scale` says (see
-    `PPOConfig.taxel_scale`), all others where `normalize` is true, divided by at least `min_std`.
+    Entries between 0 and 1, such as Boolean taxels, are scaled as `taxel_scale` says
+    (see `PPOConfig.taxel_scale`), all others where `normalize` is true, divided by at
+    least `min_std`.
     """
     taxels = may_be_boolean(space)
     as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalize))
@@ -143,9 +144,9 @@ def input_stats(
 class Policy:
     """Act on observations; small, picklable, and the same wherever it is.
 
-    `inputs.read(obs)` is what is kept of one observation, a copy, as environments reuse buffers;
-    `inputs.stack(views)` the network's input (n, size) for n of these.
-    It has no random state of its own: who asks for exploration brings a generator.
+    `inputs.read(obs)` is what is kept of one observation, a copy, as environments reuse
+    buffers; `inputs.stack(views)` the network's input (n, size) for n of these. It has
+    no random state of its own: who asks for exploration brings a generator.
     `explore(rng)` begins the exploration of one episode.
     """
 
@@ -168,11 +169,11 @@ class Policy:
     ) -> Array:
         """Return the action for one observation, in the environment's own range and units.
 
-        For a batch, which has one more axis in front (each part of a Dict has it), a batch of
-        actions: up to rounding those for each observation alone. With `deterministic=False` the
-        policy explores as in the first step of an episode, with random numbers from `rng` (None: anew
-        at every call). ValueError when the observation has another shape than those it was trained on
-        or is not finite.
+        For a batch, which has one more axis in front (each part of a Dict has it), a
+        batch of actions: up to rounding those for each observation alone. With
+        `deterministic=False` the policy explores as in the first step of an episode,
+        with random numbers from `rng` (None: anew at every call). ValueError when the
+        observation has another shape than those it was trained on or is not finite.
         """
         noise = None if deterministic else self.explore(rng or np.random.default_rng())
         parts, is_batch = self._parts(obs)
@@ -285,7 +286,8 @@ def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator)
 def on_cpu(network: MLP) -> MLP:
     """Return the network itself where it is on the CPU already, else a copy.
 
-    Acting is one observation at a time, and should give the same digits in every worker.
+    Acting is one observation at a time, and should give the same digits in every
+    worker.
     """
     is_there = next(network.parameters()).device.type == "cpu"
     return network if is_there else copy.deepcopy(network).cpu()

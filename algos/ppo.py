@@ -1,9 +1,10 @@
 """Proximal policy optimisation (Schulman et al. 2017), as the paper that we reproduce uses it.
 
-Read from top to bottom: hyperparameters, equations, the judge of silent epochs, the learner (its common
-part is in `learner`). What that paper leaves open is as in PPO-for-Beginners (Yu 2023), its code: whole
-episodes, GAE with returns = advantage + value, advantages normalized over the batch, an Adam for each
-network. There is no entropy bonus, no clipping of values and no weight of the value loss.
+Read from top to bottom: hyperparameters, equations, the judge of silent epochs, the
+learner (its common part is in `learner`). What that paper leaves open is as in
+PPO-for-Beginners (Yu 2023), its code: whole episodes, GAE with returns = advantage +
+value, advantages normalized over the batch, an Adam for each network. There is no
+entropy bonus, no clipping of values and no weight of the value loss.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ class PPOConfig(LearnerConfig):
     critic_lr: Positive32 = 1e-3
     """Learning rate of the critic (Adam)."""
     action_variance: Positive32 = 0.05
-    """Variance of the Gaussian policy in every action dimension, in units where the bounds are ±1."""
+    """Variance of the Gaussian policy in every action dimension, in units where the
+    bounds are ±1."""
     gamma: Fraction = 0.99
     """Discount factor."""
     gae_lambda: Fraction = 0.97
@@ -64,55 +66,60 @@ class PPOConfig(LearnerConfig):
     """Minimum number of environment steps per epoch; episodes are played to
     their end. (Stable-Baselines3: n_steps.)"""
     n_passes: Count = 80
-    """Passes over the batch per epoch (paper: updates per epoch; Stable-Baselines3: n_epochs)."""
+    """Passes over the batch per epoch (paper: updates per epoch; Stable-Baselines3:
+    n_epochs)."""
     n_minibatches: Count | None = None
-    """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says
-    "minibatch size: 6"; in its code, 6 is their number."""
+    """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper
+    says "minibatch size: 6"; in its code, 6 is their number."""
     minibatch_size: Count | None = None
-    """Minimum number of transitions per minibatch, instead of --n-minibatches; the batch is
-    split evenly. (Stable-Baselines3: batch_size.)"""
+    """Minimum number of transitions per minibatch, instead of --n-minibatches; the
+    batch is split evenly. (Stable-Baselines3: batch_size.)"""
     max_grad_norm: Positive32 = 0.5
     """Largest norm of the gradient, clipped separately for actor and critic."""
     exploration: Literal["fixed", "learned"] = "fixed"
-    """Variance of the policy. fixed: --action-variance; learned: one per action dimension, starting
-    there."""
+    """Variance of the policy. fixed: --action-variance; learned: one per action
+    dimension, starting there."""
     noise_correlation: Fraction = 0.0
-    """Correlation of exploration noise between successive steps. Noise that lasts gets further: a hand
-    that closes in steps closes now and then, where independent noise only trembles."""
+    """Correlation of exploration noise between successive steps. Noise that lasts gets
+    further: a hand that closes in steps closes now and then, where independent noise
+    only trembles."""
     std_lr: Positive32 | None = None
     """Learning rate of a learned variance (Adam); default: the actor's."""
     orthogonal_init: bool = False
-    """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
-    uniform in ±1/sqrt(inputs)."""
+    """Orthogonal initial weights, with an actor whose last layer is near zero;
+    otherwise they are uniform in ±1/sqrt(inputs)."""
     normalize_obs: bool = False
-    """Normalize observations with the mean and standard deviation of all earlier epochs, clipped to ±5;
-    in the first epoch, which has none, they are only clipped. Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
+    """Normalize observations with the mean and standard deviation of all earlier
+    epochs, clipped to ±5; in the first epoch, which has none, they are only clipped.
+    Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     min_std: Positive32 = MIN_STD
-    """Smallest standard deviation that an observation is divided by, in its own unit; for entries
-    between 0 and 1, such as Boolean taxels, it is 0.01. With --min-std 1, what varies less stays small,
-    such as the noise of a joint that stands still; with a small one, it is scaled up until it counts as
-    much as what matters."""
+    """Smallest standard deviation that an observation is divided by, in its own unit;
+    for entries between 0 and 1, such as Boolean taxels, it is 0.01. With --min-std 1,
+    what varies less stays small, such as the noise of a joint that stands still; with a
+    small one, it is scaled up until it counts as much as what matters."""
     taxel_scale: TaxelScale = "none"
-    """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
-    all, so that together they count as much as 24 normalized inputs, however many they are; each:
-    every one normalized by itself."""
+    """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are;
+    block: one gain for all, so that together they count as much as 24 normalized
+    inputs, however many they are; each: every one normalized by itself."""
     normalize_rewards: bool = False
-    """Divide rewards by a running scale, so that the largest return so far counts as 1. The critic's
-    learning rate then means the same, whatever unit rewards have."""
+    """Divide rewards by a running scale, so that the largest return so far counts as 1.
+    The critic's learning rate then means the same, whatever unit rewards have."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
-    """Treatment of a time limit. bootstrap: the return continues with the critic's value of the last
-    observation, cut to the range of its other values; terminal: the return ends. In the paper's task a
-    time-out terminates the episode, with -100, so both are the same."""
+    """Treatment of a time limit. bootstrap: the return continues with the critic's
+    value of the last observation, cut to the range of its other values; terminal: the
+    return ends. In the paper's task a time-out terminates the episode, with -100, so
+    both are the same."""
     anneal_lr: bool = False
-    """Decay all learning rates to zero, linearly over the run (in the paper's code, not its text)."""
+    """Decay all learning rates to zero, linearly over the run (in the paper's code, not
+    its text)."""
     target_kl: Positive32 | None = None
-    """End an epoch's passes, the critic's too, after one whose last minibatch has a larger KL
-    divergence from the old policy (in the paper's code, not in its text)."""
+    """End an epoch's passes, the critic's too, after one whose last minibatch has a
+    larger KL divergence from the old policy (in the paper's code, not in its text)."""
     undo_silent: bool = False
-    """Do not update the actor from epochs in which every episode fails; where chance no longer explains
-    so many failures, undo what it learned from the epoch before them. A policy that meets no reward
-    would otherwise learn from noise. What a failure is shows once episodes differ; until then, every
-    epoch is learned from."""
+    """Do not update the actor from epochs in which every episode fails; where chance no
+    longer explains so many failures, undo what it learned from the epoch before them. A
+    policy that meets no reward would otherwise learn from noise. What a failure is
+    shows once episodes differ; until then, every epoch is learned from."""
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
@@ -139,8 +146,8 @@ def gae(
 ) -> Array:
     """Return generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
 
-    `values` (n,) are the critic's at each step, `last_value` the one after the last step:
-    0 where nothing follows.
+    `values` (n,) are the critic's at each step, `last_value` the one after the last
+    step: 0 where nothing follows.
     """
     next_values = np.append(values[1:], last_value)
     deltas = (rewards + gamma * next_values - values).tolist()
@@ -167,7 +174,8 @@ def explained_variance(values: Tensor, returns: Tensor) -> float:
 class Gaussian(nn.Module):
     """Give actions independent normal noise, in units where the bounds are ±1.
 
-    Its standard deviations are sqrt(variance) · exp(log_std), so `log_std` is relative to the first.
+    Its standard deviations are sqrt(variance) · exp(log_std), so `log_std` is relative
+    to the first.
     """
 
     def __init__(self, n_actions: int, variance: float) -> None:
@@ -195,8 +203,8 @@ class Gaussian(nn.Module):
 class GaussianNoise:
     """Add normal noise to the actions of one episode, which may last over steps.
 
-    Each action alone is distributed as without `correlation`, and is learned from as if it stood alone
-    (Hollenstein, Martius & Piater 2024).
+    Each action alone is distributed as without `correlation`, and is learned from as if
+    it stood alone (Hollenstein, Martius & Piater 2024).
     """
 
     def __init__(
@@ -221,7 +229,8 @@ class Surrogate(NamedTuple):
 
     loss: Tensor
     kl: Tensor
-    """Estimate of the KL divergence from the old policy, ratio - 1 - log(ratio): Schulman's k3."""
+    """Estimate of the KL divergence from the old policy, ratio - 1 - log(ratio):
+    Schulman's k3."""
     is_clipped: Tensor
     """True where the ratio is outside the clip range."""
 
@@ -229,8 +238,8 @@ class Surrogate(NamedTuple):
 def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: Any) -> Surrogate:
     """Return the clipped objective from log ratios and advantages (n,) (Schulman et al. 2017, eq. 7).
 
-    Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any clip range; what
-    lies beyond has no gradient.
+    Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any
+    clip range; what lies beyond has no gradient.
     """
     ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
@@ -247,7 +256,8 @@ class ActorLoss(NamedTuple):
 
 
 Verdict = Literal["learn", "wait", "undo"]
-"""What becomes of the actor: it is updated; it stays; it goes back to before its last update."""
+"""What becomes of the actor: it is updated; it stays; it goes back to before its last
+update."""
 
 
 class Silence(Counts):
@@ -258,9 +268,10 @@ class Silence(Counts):
     - All failed, in so many episodes since the last update that the policy before it would have done so
       with a probability below `LEVEL`: undo. Nothing more is undone until there is another update.
 
-    A failure has the lowest return of the last epoch in which returns differed, or a lower one. The policy before the update
-    is known by its failures and its other episodes, which fade by `KEEP` from one update to the next:
-    they speak of the last five or so. Its success rate is what they leave uncertain (Beta distribution,
+    A failure has the lowest return of the last epoch in which returns differed, or a
+    lower one. The policy before the update is known by its failures and its other
+    episodes, which fade by `KEEP` from one update to the next: they speak of the last
+    five or so. Its success rate is what they leave uncertain (Beta distribution,
     Jeffreys' prior). Of updates that change nothing, about one in fifty is undone.
     """
 
@@ -280,9 +291,9 @@ class Silence(Counts):
         if lowest == highest and self.failure == -math.inf:
             return "learn"  # nobody knows yet what a failure is
         if lowest < highest and lowest != self.failure:
-            # Another return is a failure now, so counts begin anew. Where rewards are dense, that is
-            # in nearly every epoch, and all that is undone are updates after which every return is
-            # below the lowest of before.
+            # Another return is a failure now, so counts begin anew. Where rewards are
+            # dense, that is in nearly every epoch, and all that is undone are updates
+            # after which every return is below the lowest of before.
             self.failure, self.failed, self.others, self.failed_since = lowest, 0, 0, 0
         failed = returns.count(self.failure)
         self.failed = self.KEEP * self.failed + self.failed_since + failed
@@ -310,7 +321,8 @@ class Transitions(NamedTuple):
     obs: Tensor
     actions: Tensor
     log_prob: Tensor
-    """Log density of the actions, which are not clipped, by the actor that took them."""
+    """Log density of the actions, which are not clipped, by the actor that took
+    them."""
     advantages: Tensor
     returns: Tensor
     values: Tensor
@@ -320,8 +332,9 @@ class Transitions(NamedTuple):
 class PPO(Learner):
     """Learn by proximal policy optimisation, from the whole episodes of one epoch after another.
 
-    An epoch is `collect` and `update`. Learners of many runs at once (`batch`) play and step the
-    networks themselves; they call `begin`, `wants_more`, `keep`, `prepare` and `after_update`.
+    An epoch is `collect` and `update`. Learners of many runs at once (`batch`) play and
+    step the networks themselves; they call `begin`, `wants_more`, `keep`, `prepare` and
+    `after_update`.
     """
 
     policy_parts = ("actor", "gaussian", "obs_stats")
@@ -385,7 +398,8 @@ class PPO(Learner):
     def key(self, purpose: int) -> rollout.Key:
         """Return the key of random numbers for one of the purposes in `rollout`.
 
-        It counts the epochs that were played, so one epoch's LEARN is one above its TRAIN.
+        It counts the epochs that were played, so one epoch's LEARN is one above its
+        TRAIN.
         """
         return self.seed, self.comm.rank, purpose, self.epochs
 
@@ -411,9 +425,9 @@ class PPO(Learner):
     def update(self) -> dict[str, float]:
         """Take `n_passes` over the batch in shuffled minibatches.
 
-        Actor and critic share nothing that is learned: in each pass, each has its own loop, and its own
-        thread where there are two cores. They meet after it, where `target_kl` may end the passes. In a
-        silent epoch, only the critic is updated.
+        Actor and critic share nothing that is learned: in each pass, each has its own
+        loop, and its own thread where there are two cores. They meet after it, where
+        `target_kl` may end the passes. In a silent epoch, only the critic is updated.
         """
         config = self.config
         batch, verdict = self.prepare()
@@ -446,7 +460,8 @@ class PPO(Learner):
 
     def prepare(self) -> tuple[Transitions, Verdict]:
         """Return what to learn from, and what becomes of the actor, whose last update may be undone."""
-        # The unit of rewards is the largest return; as it grows, the critic's outputs shrink.
+        # The unit of rewards is the largest return; as it grows, the critic's outputs
+        # shrink.
         returns = (largest_return(e.rewards, self.config.gamma) for e in self.episodes)
         self.critic.scale_outputs(self.reward_scale.grow(max(returns)))
         batch = self._batch()
@@ -535,7 +550,8 @@ class PPO(Learner):
     def _batch(self) -> Transitions:
         """Return the epoch as tensors, with advantages and returns."""
         inputs = FlatInputs(self.scaling())
-        # An episode has one more observation than transitions: the last, after which nothing is done.
+        # An episode has one more observation than transitions: the last, after which
+        # nothing is done.
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
         values = [self.critic(seen).squeeze(-1).cpu().double().numpy() for seen in obs]
         acted_on = torch.cat([seen[:-1] for seen in obs])
@@ -555,9 +571,9 @@ class PPO(Learner):
         """
         config, advantages = self.config, list[Array]()
         predicted = np.concatenate([each[:-1] for each in values])
-        # Not in the paper's code: the critic is never fitted to a last observation, so its value there
-        # is cut to the range of the others. Uncut, and with time in the observation, returns would grow
-        # from epoch to epoch.
+        # Not in the paper's code: the critic is never fitted to a last observation, so
+        # its value there is cut to the range of the others. Uncut, and with time in the
+        # observation, returns would grow from epoch to epoch.
         lowest, highest = predicted.min(), predicted.max()
         for episode, each in zip(self.episodes, values, strict=True):
             # The return continues at a time limit, and always where physics diverged.

@@ -62,8 +62,8 @@ class Replay:
     ) -> None:
         """Make room for `capacity` transitions; `sizes` of observation, goal and action.
 
-        Without `compute_terminated`, a new goal leaves the episode's end as it was; where it returns
-        None, rewards say whether a new goal ends it (`_terminal`).
+        Without `compute_terminated`, a new goal leaves the episode's end as it was;
+        where it returns None, rewards say whether a new goal ends it (`_terminal`).
 
         Raises ValueError when not a single episode has room.
         """
@@ -160,9 +160,9 @@ class Replay:
     ) -> Relabelled:
         """Draw `n` transitions, uniform over all or over those in `slots`, and give some new goals.
 
-        HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that
-        was achieved at a step uniform in t + 1 ... length (OpenAI baselines, her_sampler.py: t + 1 +
-        floor(U (T - t))).
+        HER's strategy "future": with probability `replay_p`, a transition at step t
+        gets the goal that was achieved at a step uniform in t + 1 ... length (OpenAI
+        baselines, her_sampler.py: t + 1 + floor(U (T - t))).
         """
         slot, t = self._pick(np.arange(self.n_episodes) if slots is None else slots, n)
         is_new = self.rng.random(n) < replay_p
@@ -185,8 +185,9 @@ class Replay:
     ) -> Array:
         """Return whether transitions end the episode, for a new goal where it is relabelled.
 
-        The environment says it; else rewards do, where with their own goals every transition that ended
-        an episode had a higher one than every other. Otherwise it is as with the own goal.
+        The environment says it; else rewards do, where with their own goals every
+        transition that ended an episode had a higher one than every other. Otherwise it
+        is as with the own goal.
         """
         if self.compute_terminated is None:  # the learner bootstraps and does not ask
             return was_terminal

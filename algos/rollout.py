@@ -1,7 +1,7 @@
 """Play whole episodes, which every learner here learns from.
 
-An episode is a pure function of a policy, a key and its number, so episodes can be played
-anywhere, in any order, side by side.
+An episode is a pure function of a policy, a key and its number, so episodes can be
+played anywhere, in any order, side by side.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ REWARD = "the reward of the environment"
 MAX_LENGTH = 20_000
 # Episodes in a row without a step, from which nothing can be learned.
 MAX_FAILURES = 100
-# What episodes are for: each purpose has random numbers of its own, and so has learning.
+# What episodes are for: each purpose has random numbers of its own, and so has
+# learning.
 TRAIN, TEST, EVALUATE, PROBE, LEARN = 1, 2, 3, 4, 5
 Key = tuple[int, int, int, int]
 
@@ -40,7 +41,8 @@ class Episode:
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
     success: float = math.nan
-    """Success at the end, 1 or 0; nan where the environment does not say, 0 where it could not begin."""
+    """Success at the end, 1 or 0; nan where the environment does not say, 0 where it
+    could not begin."""
     held: int = 0
     """Steps for which success had stood by the end."""
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
@@ -68,11 +70,12 @@ class PlayEpisode:
     ) -> Episode:
         """Return the episode, cut short when it is not wanted any more; then nobody learns from it.
 
-        One that cannot begin, because the reset raises a FloatingPointError, has no step and counts
-        as diverged.
+        One that cannot begin, because the reset raises a FloatingPointError, has no
+        step and counts as diverged.
 
-        Raises DivergenceError, which ends the run, when an observation or a reward is not finite. A step
-        that `info` calls diverged only ends the episode. Raises EndlessError when it does not end.
+        Raises DivergenceError, which ends the run, when an observation or a reward is
+        not finite. A step that `info` calls diverged only ends the episode. Raises
+        EndlessError when it does not end.
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = policy.explore(rng) if self.explores else None
@@ -120,9 +123,9 @@ def summary(
 ) -> dict[str, float]:
     """Return counts and means over episodes, those that diverged included.
 
-    The success rate is that of the episodes whose environment says whether they succeeded, and of
-    those that could not begin; NaN where there are none. With `comm`, all is over the episodes of
-    all ranks, each of which has some.
+    The success rate is that of the episodes whose environment says whether they
+    succeeded, and of those that could not begin; NaN where there are none. With `comm`,
+    all is over the episodes of all ranks, each of which has some.
     """
     known = [e.success for e in episodes if not math.isnan(e.success)]
     counts = [sum(map(len, episodes)), len(episodes), len(known), sum(known)]

@@ -1,10 +1,10 @@
 """Tactile grasping environments behind Gymnasium's interface.
 
-`make("shadow", layout="4")` is the Shadow Hand in MuJoCo, `make("mpl")` the MPL hand in PyBullet,
-`make("allegro")` a hand with four fingers, and `simulator=` swaps; `make` also takes the id of any
-registered Gymnasium environment. The same
-environments are registered as tactilerl/Shadow-v0, tactilerl/MPL-v0 and so on. A simulator is
-imported when an environment that uses it is made.
+`make("shadow", layout="4")` is the Shadow Hand in MuJoCo, `make("mpl")` the MPL hand in
+PyBullet, `make("allegro")` a hand with four fingers, and `simulator=` swaps; `make`
+also takes the id of any registered Gymnasium environment. The same environments are
+registered as tactilerl/Shadow-v0, tactilerl/MPL-v0 and so on. A simulator is imported
+when an environment that uses it is made.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ def make(
 ) -> gym.Env[Any, Any]:
     """Return an environment by name.
 
-    `name` is one of the library's hands or the path of a hand's .toml file (`choices` are then fields
-    of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. `scene` is a named scene
-    (`scenes.names`) or its file; `name` and `choices` then change what it says. Raise ValueError when
-    there is none of that name.
+    `name` is one of the library's hands or the path of a hand's .toml file (`choices`
+    are then fields of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a
+    Gymnasium id. `scene` is a named scene (`scenes.names`) or its file; `name` and
+    `choices` then change what it says. Raise ValueError when there is none of that
+    name.
     """
     validation.require_type(name, str | None, "env")
     if scene is not None:
@@ -92,9 +93,9 @@ def make_vec(
 ) -> BatchEnv:
     """Return many worlds of a hand or scene, played at once: a Gymnasium VectorEnv of PyTorch tensors.
 
-    The worlds are shared out evenly between `layouts` (none: the scene's own). `device` is PyTorch's,
-    for MuJoCo Warp, or "loop", which is exact and slow; `autoreset` is that of `batch.BatchEnv`. The
-    rest is as in `make`.
+    The worlds are shared out evenly between `layouts` (none: the scene's own). `device`
+    is PyTorch's, for MuJoCo Warp, or "loop", which is exact and slow; `autoreset` is
+    that of `batch.BatchEnv`. The rest is as in `make`.
 
     Raise ValueError for what cannot be.
     """

@@ -1,8 +1,9 @@
 """BatchEnv: what `GraspEnv` plays, in many worlds at once; a Gymnasium VectorEnv.
 
-Its parts are `GraspEnv`'s own, whose arrays have a leading axis here: touch and senses PyTorch's, on
-the device, tasks, hold tests and what an episode draws NumPy's. Taxels move nothing: worlds with
-other layouts, other faults or no touch at all share one batch of physics.
+Its parts are `GraspEnv`'s own, whose arrays have a leading axis here: touch and senses
+PyTorch's, on the device, tasks, hold tests and what an episode draws NumPy's. Taxels
+move nothing: worlds with other layouts, other faults or no touch at all share one batch
+of physics.
 """
 
 from __future__ import annotations
@@ -56,20 +57,22 @@ def shared(config: GraspConfig) -> tuple[Any, ...]:
 class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """Many worlds of one scene, in groups that may differ in layout, touch and the taxels' faults.
 
-    Worlds of a group are consecutive. Observations are a dict of float32 tensors (n, ...) on the
-    device: ``observation``, each group's own at the front and zeros behind, ``achieved_goal`` and
-    ``desired_goal``. Rewards are float32, ends bool, (n,): tensors as well.
-    In ``info``, each bool (n,) and NumPy's: ``is_success``; ``diverged``, as in `GraspEnv`, or because
-    a world had no room for its contacts; and ``holding``.
+    Worlds of a group are consecutive. Observations are a dict of float32 tensors (n,
+    ...) on the device: ``observation``, each group's own at the front and zeros behind,
+    ``achieved_goal`` and ``desired_goal``. Rewards are float32, ends bool, (n,):
+    tensors as well. In ``info``, each bool (n,) and NumPy's: ``is_success``;
+    ``diverged``, as in `GraspEnv`, or because a world had no room for its contacts; and
+    ``holding``.
 
-    A step that ends in a hold test is not over before the test is, which takes several calls of `step`:
-    until then the world is ``holding``, shows its last observation, has reward 0 and ignores actions.
-    The call that says ``holding`` no more ends the step: it returns observation, reward and end as
-    `GraspEnv` returns them at once. So a learner keeps the observation and the action with which it
-    began a step until that step comes back without ``holding``.
+    A step that ends in a hold test is not over before the test is, which takes several
+    calls of `step`: until then the world is ``holding``, shows its last observation,
+    has reward 0 and ignores actions. The call that says ``holding`` no more ends the
+    step: it returns observation, reward and end as `GraspEnv` returns them at once. So
+    a learner keeps the observation and the action with which it began a step until that
+    step comes back without ``holding``.
 
-    A world that has ended begins anew with the next step; without `autoreset` it stands still until it
-    is reset.
+    A world that has ended begins anew with the next step; without `autoreset` it stands
+    still until it is reset.
     """
 
     def __init__(
@@ -110,7 +113,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             (np.flatnonzero(of_world == env), _converted(env._observer, tensor))
             for env in dict.fromkeys(self.singles)
         ]
-        """Worlds (k,) of one layout, kind of touch and hand, and what observes for them."""
+        """Worlds (k,) of one layout, kind of touch and hand, and what observes for
+        them."""
         self._autoreset = autoreset
         mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
         self.metadata = {"autoreset_mode": mode}
@@ -142,9 +146,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     ) -> tuple[Obs, dict[str, Any]]:
         """Begin an episode in all worlds, or those of ``options["reset_mask"]``, bool (n,).
 
-        A seed is a number, to which each world adds its index, or one for each of the n worlds. It
-        then plays the episode that `GraspEnv` plays after ``reset(seed=...)``. Without one, its
-        generator goes on.
+        A seed is a number, to which each world adds its index, or one for each of the n
+        worlds. It then plays the episode that `GraspEnv` plays after
+        ``reset(seed=...)``. Without one, its generator goes on.
         """
         n = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
@@ -317,8 +321,8 @@ def _converted(part: Any, tensor: Callable[[Any], Tensor]) -> Any:
 def _in_some(which: Array, act: Any, *arguments: Any) -> Any:
     """Return what a method does; it is remembered in some worlds only, those of `which` (n,).
 
-    What the method's object remembers, or an observer's parts, are attributes that are numbers, arrays
-    or draws.
+    What the method's object remembers, or an observer's parts, are attributes that are
+    numbers, arrays or draws.
     """
     owner = act.__self__
     things = owner.parts if isinstance(owner, Observer) else [owner]
@@ -350,14 +354,16 @@ def _where(which: Array, new: Any, old: Any) -> Any:
 
 
 AHEAD = 32
-"""Control steps whose noise is drawn at once: the call of a generator costs more than the numbers."""
+"""Control steps whose noise is drawn at once: the call of a generator costs more than
+the numbers."""
 
 
 class Draws:
     """NumPy's generators (n,), one for each of many episodes: what they draw has a leading axis.
 
-    Each draws the numbers of `GraspEnv`; those off `which`, bool (n,), draw none: what they have means
-    nothing. What is asked for again and again, without bounds, may be drawn `n_ahead` times at once.
+    Each draws the numbers of `GraspEnv`; those off `which`, bool (n,), draw none: what
+    they have means nothing. What is asked for again and again, without bounds, may be
+    drawn `n_ahead` times at once.
     """
 
     n_ahead = 1
@@ -369,7 +375,8 @@ class Draws:
         """Take the generators, and what makes of arrays what is wanted."""
         self.rngs, self.which, self._convert = rngs, which, convert
         self.left, self._rows = np.zeros(len(rngs), int), np.zeros(0)
-        """How many of the rows (n, n_rows, ...), drawn ahead, are still to be handed out."""
+        """How many of the rows (n, n_rows, ...), drawn ahead, are still to be handed
+        out."""
         self._asked: Any = None
 
     def spawn(self, n: int) -> list[Draws]:

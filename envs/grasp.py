@@ -47,31 +47,34 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     simulator: str = "mujoco"
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
-    """Layout of the taxels (touch sensors): 1 to 6 (paper, Fig. 2), smarthand, zhang or abbass (other
-    publications), model (the hand's own), or a .toml file.
+    """Layout of the taxels (touch sensors): 1 to 6 (paper, Fig. 2), smarthand, zhang or
+    abbass (other publications), model (the hand's own), or a .toml file.
     """
     touch: Literal["on", "off", "absent"] = "on"
-    """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
-    taxels."""
+    """on: taxels read contact; off: all read zero, the paper's control; absent: the
+    observation has no taxels."""
     touch_rule: str = "skin"
-    """Rule by which a taxel fires. skin: its sphere overlaps the object, which touches the skin there;
-    contact: a contact of the simulator meets its sphere (paper); force: the taxel reads the normal
-    force, N. See docs/concepts/touch.md.
+    """Rule by which a taxel fires. skin: its sphere overlaps the object, which touches
+    the skin there; contact: a contact of the simulator meets its sphere (paper); force:
+    the taxel reads the normal force, N. See docs/concepts/touch.md.
     """
     actions: Literal["all", "fingers", "grip"] = "all"
-    """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of
-    fingers close and open; grip: one action closes and opens the whole hand."""
+    """all: every joint and slide of the hand (paper); fingers: the slides stand still,
+    and groups of fingers close and open; grip: one action closes and opens the whole
+    hand."""
     start_closing: Annotated[float, "[0, 1)"] = 0.2
-    """How far the hand is closed at the start, from open (0) to closed (1), with --actions fingers or
-    grip."""
+    """How far the hand is closed at the start, from open (0) to closed (1), with
+    --actions fingers or grip."""
     finger_gain: Annotated[float, "(0, 100]"] = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: Annotated[float, "[1e-06, 0.1]"] = 0.004
     """Physics step, s."""
     skin_thickness: Annotated[float, "[0.002, 0.004]"] | None = None
-    """Thickness of the soft outer part of the hand's links, m (MuJoCo); default: rigid links."""
+    """Thickness of the soft outer part of the hand's links, m (MuJoCo); default: rigid
+    links."""
     skin_modulus: Annotated[float, "[10000, 1000000]"] = 140_000.0
-    """Young's modulus of the soft part, Pa. Default: Dragon Skin 10's; Ecoflex 00-30 has 46000."""
+    """Young's modulus of the soft part, Pa. Default: Dragon Skin 10's; Ecoflex 00-30
+    has 46000."""
 
     def __post_init__(self) -> None:
         """Convert what JSON, TOML and NumPy have instead of these types."""
@@ -131,7 +134,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """Return the configuration of a hand's set-up, with some fields chosen otherwise.
 
-    A `sensor` brings its numbers (`sensors.choose`). Raise ValueError when there is no such field.
+    A `sensor` brings its numbers (`sensors.choose`). Raise ValueError when there is no
+    such field.
     """
     usual, known = hands.described(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
@@ -153,12 +157,13 @@ def checked(action: Any, space: gym.Space[Any]) -> Array:
 class GraspEnv(gym.Env[Any, Array]):
     """A hand above an object on the ground; a goal environment in Gymnasium's sense.
 
-    Observations are a Dict of float32 Boxes: ``observation`` (`observation_names` says what
-    each entry is), ``achieved_goal`` and ``desired_goal`` (see the task). Actions lie in
-    [-1, 1]; what is beyond is clipped. ``info`` has the same keys always: ``is_success``; which
-    ``object`` the episode has; ``diverged`` when the physics broke, and then an ``error``: the step
-    is void, the observation the last good one, and the episode truncated; and ``warnings``, how often
-    the simulator has warned since the last step.
+    Observations are a Dict of float32 Boxes: ``observation`` (`observation_names` says
+    what each entry is), ``achieved_goal`` and ``desired_goal`` (see the task). Actions
+    lie in [-1, 1]; what is beyond is clipped. ``info`` has the same keys always:
+    ``is_success``; which ``object`` the episode has; ``diverged`` when the physics
+    broke, and then an ``error``: the step is void, the observation the last good one,
+    and the episode truncated; and ``warnings``, how often the simulator has warned
+    since the last step.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
@@ -281,8 +286,9 @@ class GraspEnv(gym.Env[Any, Array]):
     def draw_start(self, rng: Any) -> tuple[objects.Item, tasks.Start, Any, Any]:
         """Draw an episode's object and start; return the observer's and the task's generators too.
 
-        The hand is open above the object, both a little moved with jitter. `rng` may draw for many
-        episodes (`batch.Draws`); arrays then have a leading axis, where they differ.
+        The hand is open above the object, both a little moved with jitter. `rng` may
+        draw for many episodes (`batch.Draws`); arrays then have a leading axis, where
+        they differ.
         """
         # To spawn draws nothing from the generator itself.
         observer_rng, task_rng, object_rng = rng.spawn(3)
@@ -403,7 +409,8 @@ class GraspEnv(gym.Env[Any, Array]):
     def _require_not_ejected(self, before: State) -> None:
         """Raise SimulationError when an action moved the object too fast.
 
-        The physics can break and stay finite, as when fingers that overlap deeply shoot the object out.
+        The physics can break and stay finite, as when fingers that overlap deeply shoot
+        the object out.
         """
         moved = np.linalg.norm(self.state.object_position - before.object_position)
         speed = moved / self.config.control_dt

@@ -1,15 +1,15 @@
 """The hold test of lift-and-hold: raise the hand to 1 m and see whether the object stays.
 
 "The hand is moved to a height of 1 meter and kept there for 5000 unrecorded simulation
-steps" (paper, PyBullet set-up). Here that is a time, 5,000 timesteps of the hand's own set-up, so
-that a smaller timestep makes no shorter test. A failure is called as soon as it is certain: an
-object that is further from the palm than any finger reaches is in free fall. A success is called
-at the end.
+steps" (paper, PyBullet set-up). Here that is a time, 5,000 timesteps of the hand's own
+set-up, so that a smaller timestep makes no shorter test. A failure is called as soon as
+it is certain: an object that is further from the palm than any finger reaches is in
+free fall. A success is called at the end.
 
-The verdict "settled" runs the same test with time compressed. What decides a long hold is how far
-the object creeps, so creep is sped up (`Simulator.set_creep`), and a success is called as soon as
-the object's movement would not take it far by the end. How often that is wrong was measured:
-docs/concepts/tasks.md, "The hold test".
+The verdict "settled" runs the same test with time compressed. What decides a long hold
+is how far the object creeps, so creep is sped up (`Simulator.set_creep`), and a success
+is called as soon as the object's movement would not take it far by the end. How often
+that is wrong was measured: docs/concepts/tasks.md, "The hold test".
 """
 
 from __future__ import annotations
@@ -48,19 +48,20 @@ class HoldTest:
     out_of_reach: float = OUT_OF_REACH
     """An object further than this from the palm is in free fall, m."""
     creep: float = 20.0
-    """Factor by which "settled" speeds creep up and compresses time. What this and the next two cost
-    is measured by ``python -m benchmarks hold_verdict``."""
+    """Factor by which "settled" speeds creep up and compresses time. What this and the
+    next two cost is measured by ``python -m benchmarks hold_verdict``."""
     shake_seconds: float = 0.2
-    """Time after which the jolt of setting off is over, s; "settled" speeds creep up from then on."""
+    """Time after which the jolt of setting off is over, s; "settled" speeds creep up
+    from then on."""
     settle_distance: float = 2e-3
-    """Distance, m, by which no point of an object at rest will move before the compressed test of
-    "settled" ends, and for one look more."""
+    """Distance, m, by which no point of an object at rest will move before the
+    compressed test of "settled" ends, and for one look more."""
 
     def run(self, simulator: Simulator, state: State) -> bool:
         """Return True if the object stays in the hand, from this state on.
 
-        Joint targets stay as they are, but for the slide that rises. Leaves the simulator wherever the
-        test ended.
+        Joint targets stay as they are, but for the slide that rises. Leaves the
+        simulator wherever the test ended.
         """
         trial, targets = Trial(self, simulator.scene.timestep), state.targets.copy()
         trial.begin(state)

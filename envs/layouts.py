@@ -1,8 +1,9 @@
 """Taxel layouts as data: the paper's six, designs from the literature, and users' files.
 
-A layout says which taxels each segment carries, in rows (towards the fingertip) and columns, or
-gives them as points on links. The six of the paper are in units of the hand's pitch, so that each
-hand gets its own distances; patches of files are in millimetres. `place` puts a layout on a hand.
+A layout says which taxels each segment carries, in rows (towards the fingertip) and
+columns, or gives them as points on links. The six of the paper are in units of the
+hand's pitch, so that each hand gets its own distances; patches of files are in
+millimetres. `place` puts a layout on a hand.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Taxels:
     surfaces: Array
     """(n,) int, of the hand's surfaces."""
     offsets: Array
-    """(n, 3), m: row and column on that surface, and 0; of points the height over its middle, not 0."""
+    """(n, 3), m: row and column on that surface, and 0; of points the height over its
+    middle, not 0."""
 
     def __len__(self) -> int:
         """Return how many taxels these are."""
@@ -242,7 +244,8 @@ class Layout:
     def on_grids(self, hand: Hand) -> Iterator[tuple[int, tuple[float, float], Point]]:
         """Yield every taxel of a patch, whether or not there is something of the link.
 
-        The parts are index of the surface, (row, column) on it in m, and the taxel without a place.
+        The parts are index of the surface, (row, column) on it in m, and the taxel
+        without a place.
         """
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
@@ -292,8 +295,9 @@ def _on_surface(
 def left_out(layout: Layout, hand: Hand) -> list[str]:
     """Return what a layout names and a hand lacks.
 
-    That is a digit, or a segment of one (thumb.palm), and a taxel where a link of any shape has a gap
-    (thumb.distal[+1,-1]). Raise ValueError for digits and segments unless the layout is partial.
+    That is a digit, or a segment of one (thumb.palm), and a taxel where a link of any
+    shape has a gap (thumb.distal[+1,-1]). Raise ValueError for digits and segments
+    unless the layout is partial.
     """
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     there |= {(digit, "") for digit in hand.digits}
@@ -319,8 +323,8 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
 def off_skin(taxels: Taxels, hand: Hand) -> list[str]:
     """Return names of the taxels that nothing carries.
 
-    Those of grids lie beyond an end of their segment; the spheres of points do not reach the skin of
-    their link.
+    Those of grids lie beyond an end of their segment; the spheres of points do not
+    reach the skin of their link.
     """
     names, places = [], zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
     for point, (index, (row, _, height)) in zip(taxels.points, places, strict=True):
@@ -337,7 +341,8 @@ def off_skin(taxels: Taxels, hand: Hand) -> list[str]:
 CENTRE = ((0.0, 0.0),)
 CORNERS = ((1.0, -1.0), (1.0, 1.0), (-1.0, -1.0), (-1.0, 1.0))
 EDGES = ((1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0))
-# Paper, Fig. 2 and Results: per phalanx, and four on the palm at the bases of the fingers.
+# Paper, Fig. 2 and Results: per phalanx, and four on the palm at the bases of the
+# fingers.
 PALM = Patch(None, ("palm",), CENTRE)
 PAPER = {
     name: Layout(
@@ -375,8 +380,8 @@ def is_file(name: str) -> bool:
 def load(name: str) -> Layout:
     """Return a layout by number or name, or from a file or the text of a TOML file.
 
-    Files are TOML, or points as CSV (`taxel_files`). Raises ValueError naming what is wrong with the
-    file, and FileNotFoundError.
+    Files are TOML, or points as CSV (`taxel_files`). Raises ValueError naming what is
+    wrong with the file, and FileNotFoundError.
     """
     if name in PAPER:
         return PAPER[name]

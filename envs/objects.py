@@ -32,11 +32,13 @@ class ObjectConfig:
     """Objects of a scene, and where they start."""
 
     object: str = "box"
-    """box, sphere, cylinder, capsule or ellipsoid. Of several (box,sphere), each episode draws one."""
+    """box, sphere, cylinder, capsule or ellipsoid. Of several (box,sphere), each
+    episode draws one."""
     object_size: tuple[Number, ...] = (0.05,)
-    """Edge of a cube or three edges of a box, diameter of a sphere, three axes of an ellipsoid,
-    diameter and height of a standing cylinder, or diameter and straight length of a lying capsule, m.
-    Size, density and friction may be ranges, such as 0.04..0.05."""
+    """Edge of a cube or three edges of a box, diameter of a sphere, three axes of an
+    ellipsoid, diameter and height of a standing cylinder, or diameter and straight
+    length of a lying capsule, m. Size, density and friction may be ranges, such as
+    0.04..0.05."""
     object_density: Density = 567.0
     """Density, kg/m^3."""
     friction: Friction = 1.0
@@ -82,7 +84,8 @@ class Shape:
 
     A cylinder stands along z, a capsule lies along x.
 
-    It may stand for many of a kind: its measures are then arrays, whose axes lead in all results.
+    It may stand for many of a kind: its measures are then arrays, whose axes lead in
+    all results.
     """
 
     kind: Kind
@@ -180,10 +183,11 @@ class Shape:
 def _beyond_ellipsoid(points: Any, half: Any, xp: Any) -> Any:
     """Return what `Shape.squared_distance` does for an ellipsoid, by Newton's method.
 
-    With half axes a, the nearest point to p is p a² / (a² + t), where t puts it on the surface:
-    1 / |p a / (a² + t)| = 1. The left side is concave in t and nearly straight, so that no step goes
-    too far. Of points up to 5 cm away, distances are exact to 1e-8 m for axes up to 25 times as long
-    as others, and to 5e-6 m for the longest and shortest that a scene allows.
+    With half axes a, the nearest point to p is p a² / (a² + t), where t puts it on the
+    surface: 1 / |p a / (a² + t)| = 1. The left side is concave in t and nearly
+    straight, so that no step goes too far. Of points up to 5 cm away, distances are
+    exact to 1e-8 m for axes up to 25 times as long as others, and to 5e-6 m for the
+    longest and shortest that a scene allows.
     """
     t = xp.zeros_like(points[..., :1])
     for _ in range(NEWTON_STEPS):
@@ -200,8 +204,9 @@ def _beyond_ellipsoid(points: Any, half: Any, xp: Any) -> Any:
 def make(kind: Kind, size: tuple[Any, ...]) -> Shape:
     """Return a shape from its measures in m; raise ValueError for another number of them.
 
-    A box has edges (one: a cube), an ellipsoid axes, a sphere a diameter, a cylinder a diameter and a
-    height (one: both), a capsule a diameter and the length between its caps (one: half of it).
+    A box has edges (one: a cube), an ellipsoid axes, a sphere a diameter, a cylinder a
+    diameter and a height (one: both), a capsule a diameter and the length between its
+    caps (one: half of it).
     """
     numbers = {"sphere": "1", "cylinder": "1 or 2", "capsule": "1 or 2"}
     allowed = numbers.get(kind, "1 or 3")

@@ -1,8 +1,9 @@
 """Make the policy's observation: terms, sight, joint angles, taxels with their faults, history.
 
-There is one small class for each, reset with every episode. Sight, joints and taxels each have a
-generator of their own, so that what one draws moves nothing that another draws; a taxel's reading
-passes one `Stage` after another. Goals and rewards never pass here: they keep the state.
+There is one small class for each, reset with every episode. Sight, joints and taxels
+each have a generator of their own, so that what one draws moves nothing that another
+draws; a taxel's reading passes one `Stage` after another. Goals and rewards never pass
+here: they keep the state.
 """
 
 from __future__ import annotations
@@ -44,17 +45,19 @@ class TaxelFaults:
     taxel_stuck: Fraction = 0.0
     """Fraction of taxels that always fire; --hand-seed decides which."""
     taxel_threshold_spread: Fraction = 0.0
-    """Standard deviation of the threshold between taxels, relative; drawn from --hand-seed."""
+    """Standard deviation of the threshold between taxels, relative; drawn from
+    --hand-seed."""
     taxel_saturates: Annotated[float, "(0, 1000]"] | None = None
     """Largest force that a taxel reads, N; default: no limit. --touch-rule force."""
     taxel_noise: Newtons = 0.0
-    """Standard deviation of the noise of a reading, N, drawn at every step. --touch-rule force."""
+    """Standard deviation of the noise of a reading, N, drawn at every step.
+    --touch-rule force."""
     taxel_gain_spread: Fraction = 0.0
-    """Standard deviation of the gain between taxels, around 1; drawn from --hand-seed. --touch-rule
-    force."""
+    """Standard deviation of the gain between taxels, around 1; drawn from --hand-seed.
+    --touch-rule force."""
     taxel_drift: Newtons = 0.0
-    """Drift of a taxel's zero from the start of an episode, N/min; --hand-seed decides whether up or
-    down. --touch-rule force."""
+    """Drift of a taxel's zero from the start of an episode, N/min; --hand-seed decides
+    whether up or down. --touch-rule force."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +65,22 @@ class SensorConfig(TaxelFaults):
     """Errors with which the hand senses its joints, the object and touch; by default, none."""
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
-    """Object's pose as the policy sees it: exact (paper), noisy (--sight-noise), start (where it was at
-    the start of the episode), or hidden (zeros, and the kind of the scene's first object).
+    """Object's pose as the policy sees it: exact (paper), noisy (--sight-noise), start
+    (where it was at the start of the episode), or hidden (zeros, and the kind of the
+    scene's first object).
     """
     sight_noise: tuple[Metres, Radians] | None = None
-    """Standard deviations of the noise with --object-seen noisy: on each coordinate, m, and about each
-    axis, rad; default: 0.01 0.1.
+    """Standard deviations of the noise with --object-seen noisy: on each coordinate, m,
+    and about each axis, rad; default: 0.01 0.1.
     """
     sight_noise_kind: Literal["white", "held"] = "white"
     """white: drawn at every step; held: drawn once per episode."""
     joint_noise: Radians = 0.0
-    """Standard deviation of the noise on each observed joint angle, rad, drawn at every step.
-    Velocities get the matching error."""
+    """Standard deviation of the noise on each observed joint angle, rad, drawn at every
+    step. Velocities get the matching error."""
     joint_noise_held: Radians = 0.0
-    """Standard deviation of a constant offset on each observed joint angle, rad, drawn once per
-    episode."""
+    """Standard deviation of a constant offset on each observed joint angle, rad, drawn
+    once per episode."""
     slide_noise: Metres = 0.0
     """Like --joint-noise, for the slides that carry the hand, m."""
     slide_noise_held: Metres = 0.0
@@ -87,15 +91,17 @@ class SensorConfig(TaxelFaults):
     taxel_radius: Annotated[float, "[0.0001, 0.02]"] | None = None
     """Radius of the taxels, m; default: what the layout says."""
     taxel_delay: Annotated[int, "[0, 10000]"] = 0
-    """Delay of the taxel readings, in control steps. If it is longer than the episode, the reading at
-    its start is repeated throughout."""
+    """Delay of the taxel readings, in control steps. If it is longer than the episode,
+    the reading at its start is repeated throughout."""
     taxel_threshold: Newtons | None = None
-    """Force from which a taxel fires, N; 0: any touch. Default: what the layout says, else 0."""
+    """Force from which a taxel fires, N; 0: any touch. Default: what the layout says,
+    else 0."""
     taxel_release: Newtons | None = None
-    """Force below which a taxel that fires stops, N; default: four fifths of its threshold."""
+    """Force below which a taxel that fires stops, N; default: four fifths of its
+    threshold."""
     hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
-    """Random seed of the hand: which taxels are broken, and how they differ from each other; default:
-    the run's seed, or 0 without a run."""
+    """Random seed of the hand: which taxels are broken, and how they differ from each
+    other; default: the run's seed, or 0 without a run."""
 
 
 TAXELS = [name for name in vars(SensorConfig()) if name.startswith("taxel_")]
@@ -109,8 +115,8 @@ class ObservationConfig(SensorConfig):
     history: Annotated[int, "[1, 100]"] = 1
     """Number of latest observations that the policy sees, stacked."""
     observe_targets: bool = False
-    """Include the current joint targets in the observation; with --actions fingers or grip, how
-    far the fingers are to close. The paper leaves them out."""
+    """Include the current joint targets in the observation; with --actions fingers or
+    grip, how far the fingers are to close. The paper leaves them out."""
 
 
 def validate(config: ObservationConfig) -> None:
@@ -178,10 +184,11 @@ TERMS = {
 
 # -- stages ----------------------------------------------------------------------------------
 
-# What stages, joints and sight remember of an episode are attributes that `reset` sets, as all the
-# episodes of a batch may have them: numbers, or arrays with the leading axes of what they are told.
-# Random numbers are drawn with the keyword `size`, which leaves leading axes out (`batch.Draws`).
-# A batch draws ahead what is asked for step after step: that generator then gives nothing else.
+# What stages, joints and sight remember of an episode are attributes that `reset` sets,
+# as all the episodes of a batch may have them: numbers, or arrays with the leading axes
+# of what they are told. Random numbers are drawn with the keyword `size`, which leaves
+# leading axes out (`batch.Draws`). A batch draws ahead what is asked for step after
+# step: that generator then gives nothing else.
 
 
 _NOTHING_YET: Any = np.nan
@@ -225,7 +232,8 @@ class FalseReadings(Stage):
 class Broken(Stage):
     """Sensors that always read the same: some are dead and read 0, some are stuck and read 1.
 
-    Which ones follows from `seed` alone, and those of a smaller share are among those of a larger.
+    Which ones follows from `seed` alone, and those of a smaller share are among those
+    of a larger.
     """
 
     def __init__(self, n: int, dead: float, stuck: float, seed: int) -> None:
@@ -326,7 +334,8 @@ class Delay(Past):
 class JointErrors:
     """Errors of joint sensors: at every step, and for an episode.
 
-    Velocities are taken for differences of angles, so that what is held does not show in them.
+    Velocities are taken for differences of angles, so that what is held does not show
+    in them.
     """
 
     def __init__(self, white: Array, held: Array, control_dt: float) -> None:
@@ -360,9 +369,9 @@ class JointErrors:
 class Sight:
     """See the object, with the errors of a configuration.
 
-    It is seen as it is, off by a random offset and a turn about a random axis (at every step or for an
-    episode), as it was when the episode began, or not at all: it is then said to have the shape of the
-    scene's first object.
+    It is seen as it is, off by a random offset and a turn about a random axis (at every
+    step or for an episode), as it was when the episode began, or not at all: it is then
+    said to have the shape of the scene's first object.
     """
 
     def __init__(self, config: SensorConfig, first: Shape) -> None:
@@ -434,8 +443,8 @@ class Observer:
     ) -> None:
         """Prepare the observation of a hand by a `grasp.GraspConfig`.
 
-        `terms` are the task's own, `taxel_names` those of the hand, `rule` their `touch.Rule`, `first`
-        is the shape of the scene's first object.
+        `terms` are the task's own, `taxel_names` those of the hand, `rule` their
+        `touch.Rule`, `first` is the shape of the scene's first object.
         """
         where = f"hand {hand.name}: observation"
         for term in hand.file.observation:
@@ -537,7 +546,8 @@ STAGES: list[Callable[[Any, int], Stage | None]] = [
     ),
     lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
 ]
-"""Makers of the stages that the readings (n,) of taxels pass, one after another, each None where it
-would change nothing: forces have errors, bits flip at random, a broken sensor says the same whatever
-it feels, and all of it is late. They take the scene's configuration (`grasp.GraspConfig`) and n.
+"""Makers of the stages that the readings (n,) of taxels pass, one after another, each
+None where it would change nothing: forces have errors, bits flip at random, a broken
+sensor says the same whatever it feels, and all of it is late. They take the scene's
+configuration (`grasp.GraspConfig`) and n.
 """

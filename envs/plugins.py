@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 imported: list[str] = []
-"""Modules that this process was asked to import; those that it starts import them too."""
+"""Modules that this process was asked to import; those that it starts import them
+too."""
 
 
 def import_modules(names: Iterable[str]) -> None:
@@ -38,7 +39,8 @@ def require_class(
 ) -> Any:
     """Return the class that a field names.
 
-    Raises ValueError where it is not known, no subclass of `base`, or lacks methods of it.
+    Raises ValueError where it is not known, no subclass of `base`, or lacks methods of
+    it.
     """
     if name not in known:
         raise ValueError(

@@ -1,6 +1,7 @@
 """Play without a policy: open-loop grasps (approach, close, lift, hold), and hands that stand still.
 
-The check of taxels, the pictures and the benchmarks use them when no policy should be involved.
+The check of taxels, the pictures and the benchmarks use them when no policy should be
+involved.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def hold_steps(
 ) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator, and yield whether the object is still up.
 
-    It yields once every `dt` s of the hold. The environment's own episode is not involved.
+    It yields once every `dt` s of the hold. The environment's own episode is not
+    involved.
     """
     simulator = env.simulator
     dt = dt or period(env.config.timestep)
@@ -86,8 +88,8 @@ def legs(
 ) -> tuple[list[Array], list[Array], list[Array]]:
     """Return joint targets (n_actuators,) every `dt` s of approach, closing and lift.
 
-    `closing` is how far the fingers go from their start to where the grasp has them: 1 is all the
-    way.
+    `closing` is how far the fingers go from their start to where the grasp has them: 1
+    is all the way.
     """
     start = env.hand.start_targets()
     starts = zip(env.hand.actuators, start, strict=True)

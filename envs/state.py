@@ -1,8 +1,9 @@
 """Hold what is true at one moment.
 
-A simulator is read once per control step; touch, senses, tasks, rewards and pictures are functions
-of its state, and of nothing else. They take the state of one scene, and as well that of many: its
-arrays then have a leading axis, of scenes, and may be PyTorch's tensors.
+A simulator is read once per control step; touch, senses, tasks, rewards and pictures
+are functions of its state, and of nothing else. They take the state of one scene, and
+as well that of many: its arrays then have a leading axis, of scenes, and may be
+PyTorch's tensors.
 
 World frame, z up, ground at 0; SI units, quaternions wxyz.
 """
@@ -29,7 +30,8 @@ class Contacts(NamedTuple):
     links: Array
     """Index (..., k) of each contact's link in the state's ``links``."""
     forces: Array
-    """Normal forces (..., k), above 0, N; 0 where one of many scenes has fewer contacts than others."""
+    """Normal forces (..., k), above 0, N; 0 where one of many scenes has fewer contacts
+    than others."""
     normals: Array
     """Unit normals (..., k, 3), from the hand into the object."""
 
@@ -61,7 +63,8 @@ class State:
     fingertips: Array
     """Tips of the digits (..., n_digits, 3), m."""
     joint_positions: Array
-    """Joint positions (..., n_joints) in the order of the hand's ``joints``, m and rad."""
+    """Joint positions (..., n_joints) in the order of the hand's ``joints``, m and
+    rad."""
     joint_velocities: Array
     """Joint velocities (..., n_joints), m/s and rad/s."""
     targets: Array
@@ -69,7 +72,8 @@ class State:
     contacts: Contacts
     """Contacts at which the hand presses on the object."""
     sensors: Array
-    """Readings of the simulator's own sensors, bool (..., n): True where one feels a contact."""
+    """Readings of the simulator's own sensors, bool (..., n): True where one feels a
+    contact."""
 
     def poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         """Return positions (..., k, 3) and rotations (..., k, 3, 3) of links.

@@ -1,9 +1,10 @@
 """Define the two tasks of the paper, and handover: start, giver, goal, reward, success.
 
-A task owns all of that, its thresholds and its hold test. The environment calls `start` and `reset`
-when an episode begins, then `before_step` and `after_step` around each action. Rewards are pure
-functions of the achieved and the desired goal, so that hindsight relabelling can recompute them.
-One task plays one episode, or as many side by side: arrays then have a leading axis (...).
+A task owns all of that, its thresholds and its hold test. The environment calls `start`
+and `reset` when an episode begins, then `before_step` and `after_step` around each
+action. Rewards are pure functions of the achieved and the desired goal, so that
+hindsight relabelling can recompute them. One task plays one episode, or as many side by
+side: arrays then have a leading axis (...).
 """
 
 from __future__ import annotations
@@ -33,26 +34,29 @@ class TaskConfig:
     """Task of a scene, and its thresholds."""
 
     task: str = "lift-and-hold"
-    """lift-and-hold (the paper's task for PPO), reach-goal (its task for DDPG+HER), or handover (close
-    the hand while somebody holds the object against it)."""
+    """lift-and-hold (the paper's task for PPO), reach-goal (its task for DDPG+HER), or
+    handover (close the hand while somebody holds the object against it)."""
     reward: str | None = None
-    """lift-and-hold: staged; reach-goal: sparse (0 or -1) or dense (-10 x distance); handover:
-    outcome. Default: the task's first."""
+    """lift-and-hold: staged; reach-goal: sparse (0 or -1) or dense (-10 x distance);
+    handover: outcome. Default: the task's first."""
     lift_clearance: Annotated[float, "(0, 1]"] = 0.03
-    """lift-and-hold: height of the object's lowest point at which it counts as lifted, m."""
+    """lift-and-hold: height of the object's lowest point at which it counts as lifted,
+    m."""
     hold_seconds: Annotated[float, "(0, 1000]"] = 20.0
-    """lift-and-hold and handover: length of the hold test, s (paper: 5,000 timesteps)."""
+    """lift-and-hold and handover: length of the hold test, s (paper: 5,000
+    timesteps)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold and handover: full, or settled, a test of about 1 s that is sometimes wrong. See
-    docs/concepts/tasks.md."""
+    """lift-and-hold and handover: full, or settled, a test of about 1 s that is
+    sometimes wrong. See docs/concepts/tasks.md."""
     handover_reach: Annotated[float, "[0, 0.3]"] | str = 0.0
-    """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
-    the palm. It may be a range, such as 0.01..0.05."""
+    """handover: how far from the finger bases towards the fingertips the object is
+    held, m; 0: against the palm. It may be a range, such as 0.01..0.05."""
     giver_force: Annotated[float, "(0, 5]"] = 0.32
     """handover: force with which the giver presses the object against the hand, N."""
     goal_height: Annotated[float, "(0, 1]"] = 0.08
-    """reach-goal: height of the goal above where the object rests, m; where objects differ, above where
-    the largest of the first kind rests, so that the goal does not tell the object's size."""
+    """reach-goal: height of the goal above where the object rests, m; where objects
+    differ, above where the largest of the first kind rests, so that the goal does not
+    tell the object's size."""
     goal_range: float = 0.0
     """reach-goal: largest random offset of the goal along x, y and z, m."""
     goal_tolerance: Annotated[float, "(0, 1]"] = 0.03
@@ -99,13 +103,15 @@ class Start(NamedTuple):
 class Task(ABC):
     """Goals, rewards and verdicts of one environment's episodes.
 
-    Unless it says otherwise, the object lies on the ground, and nobody but the hand moves it.
+    Unless it says otherwise, the object lies on the ground, and nobody but the hand
+    moves it.
     """
 
     rewards: ClassVar[tuple[str, ...]]
     """The kinds of reward it has; the first is the default."""
     options: ClassVar[tuple[str, ...]] = ()
-    """Fields of the configuration that do nothing in tasks that do not name them too."""
+    """Fields of the configuration that do nothing in tasks that do not name them
+    too."""
     max_episode_steps: ClassVar[int]
     """Length of an episode unless the configuration says otherwise."""
     rise: ClassVar[float] = 0.0
@@ -121,7 +127,8 @@ class Task(ABC):
     observation_terms: Mapping[str, Term] = MappingProxyType({})
     """Terms of the observation besides the hand's, by name."""
     is_batched: ClassVar[bool] = False
-    """True if this very class plays many episodes side by side too (`batch.BatchEnv`)."""
+    """True if this very class plays many episodes side by side too
+    (`batch.BatchEnv`)."""
 
     @classmethod
     def items(cls, config: ObjectConfig) -> Items:
@@ -137,8 +144,8 @@ class Task(ABC):
     ) -> None:
         """Make the task for a hand and a scene.
 
-        `hand_timestep` is that of the hand's usual set-up, s; `first` is the shape of the scene's first
-        object.
+        `hand_timestep` is that of the hand's usual set-up, s; `first` is the shape of
+        the scene's first object.
         """
         self.config, self.first = config, first
         self.hold = HoldTest(
@@ -151,8 +158,8 @@ class Task(ABC):
     def start(self, usual: Start, palm: Array, shape: Shape, rng: Any) -> Start:
         """Return the start of an episode.
 
-        Usually the hand is open above an object on the ground, both a little moved. `palm` (3,) is a
-        place on the palm's skin, at the bases of the fingers.
+        Usually the hand is open above an object on the ground, both a little moved.
+        `palm` (3,) is a place on the palm's skin, at the bases of the fingers.
         """
         return usual
 
@@ -171,7 +178,8 @@ class Task(ABC):
     def giving(self, step: Any) -> tuple[Array, Any, Any]:
         """Return to where (..., 3) the giver carries the object, and where it sets off or lets go now.
 
-        `step` (...) is the number of the hand's next action, 0 at the start, below 0 where none is due.
+        `step` (...) is the number of the hand's next action, 0 at the start, below 0
+        where none is due.
         """
         return np.zeros(3), False, False
 
@@ -179,7 +187,8 @@ class Task(ABC):
     def after_step(self, state: State, is_last: Any) -> tuple[Array, Any]:
         """Return the goal achieved (..., goal_size) with an action, and True if the episode ends here.
 
-        `is_last` says that it is the episode's last action; the end is by the task's own rules.
+        `is_last` says that it is the episode's last action; the end is by the task's
+        own rules.
         """
 
     def is_hold_due(self, state: State) -> Any:
@@ -231,7 +240,8 @@ class ReachGoal(Task):
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return 0 within the tolerance, else -1 (sparse), or -10 x distance in m (dense).
 
-        Both readings of the paper exist in the code it builds on (Plappert et al. 2018).
+        Both readings of the paper exist in the code it builds on (Plappert et al.
+        2018).
         """
         if self.config.reward == "dense":
             return -10.0 * _distance(achieved_goal, desired_goal)
@@ -243,7 +253,8 @@ class ReachGoal(Task):
 
 
 Outcome = Literal["undecided", "fell_back", "dropped", "held", "timed_out", "missed"]
-# The number at the end of an achieved goal of lift-and-hold and handover, by the outcome of the step.
+# The number at the end of an achieved goal of lift-and-hold and handover, by the
+# outcome of the step.
 OUTCOMES: dict[Outcome, float] = {
     "timed_out": -1.0,
     "missed": -0.5,
@@ -258,9 +269,9 @@ OFF_GROUND = 0.005  # m under the object's lowest point: an attempt has begun
 class LiftAndHold(Task):
     """Grasp, lift, and survive a long unrecorded hold at 1 m (paper, PyBullet set-up).
 
-    The achieved goal holds the distances the reward is made of (palm, then fingertips, to the
-    object's centre, m) and the outcome; the desired goal is the outcome "held". There is one goal
-    only, so relabelling an episode leaves its rewards as they are.
+    The achieved goal holds the distances the reward is made of (palm, then fingertips,
+    to the object's centre, m) and the outcome; the desired goal is the outcome "held".
+    There is one goal only, so relabelling an episode leaves its rewards as they are.
     """
 
     is_batched = True
@@ -312,9 +323,9 @@ class LiftAndHold(Task):
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Return the closeness of palm and fingertips until a lift, as the paper does.
 
-        5 more for a failed attempt, whether the object fell back before it was lifted or was dropped
-        in the hold test; 1000 for a lift that held; -100 at time-out. Squares are of metres, as the
-        paper has them.
+        5 more for a failed attempt, whether the object fell back before it was lifted
+        or was dropped in the hold test; 1000 for a lift that held; -100 at time-out.
+        Squares are of metres, as the paper has them.
         """
         closeness = np.exp(-(np.asarray(achieved_goal)[..., :-1] ** 2))
         near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
@@ -332,9 +343,10 @@ class LiftAndHold(Task):
 class Handover(Task):
     """Close the hand while somebody holds an object against it, and keep it.
 
-    The arm stands still. At a time that is not known, somebody brings the object up from below,
-    presses it softly against the palm or the fingers, and lets go ten actions after setting off. It
-    is missed when it falls; if it is still in the hand a little later, the hold test decides.
+    The arm stands still. At a time that is not known, somebody brings the object up
+    from below, presses it softly against the palm or the fingers, and lets go ten
+    actions after setting off. It is missed when it falls; if it is still in the hand a
+    little later, the hold test decides.
     """
 
     is_batched = True

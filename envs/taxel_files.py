@@ -42,7 +42,8 @@ def point(data: Any, number: int) -> Point:
             raise ValueError(
                 f"{where}: normal: found {list(normal)}, expected a direction"
             )
-        # A unit vector stays as it is, so that a copy of the file is read as the file was.
+        # A unit vector stays as it is, so that a copy of the file is read as the file
+        # was.
         if abs(length - 1.0) > 1e-9:
             normal = tuple((np.array(normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
@@ -63,8 +64,8 @@ def require_distinct(points: Sequence[Point]) -> None:
 def read(path: Path) -> tuple[Point, ...]:
     """Return the taxels of a CSV file, one a row under a heading.
 
-    Of its columns only link, x, y and z must be there, and unknown ones are left out. ValueError naming
-    what is wrong with it, and FileNotFoundError.
+    Of its columns only link, x, y and z must be there, and unknown ones are left out.
+    ValueError naming what is wrong with it, and FileNotFoundError.
     """
     with blamed(f"taxel file {path}"):
         lines = read_text(path, "taxel file").splitlines()

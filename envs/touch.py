@@ -1,21 +1,23 @@
 """Compute the readings of taxels, by the touch rules.
 
-Rule "skin": a taxel is on when its sensing sphere overlaps the object and the skin that carries
-it is no further than `SKIN` from the object. A rigid capsule meets a flat face in one or two
-contact points, where skin would meet it in a patch; the overlap of a small sphere on the skin
-with the object is that patch. The sphere alone would also feel what is near and touches nothing.
-Ground and self-contact cannot fire a taxel, and the rule is the same in every simulator.
+Rule "skin": a taxel is on when its sensing sphere overlaps the object and the skin that
+carries it is no further than `SKIN` from the object. A rigid capsule meets a flat face
+in one or two contact points, where skin would meet it in a patch; the overlap of a
+small sphere on the skin with the object is that patch. The sphere alone would also feel
+what is near and touches nothing. Ground and self-contact cannot fire a taxel, and the
+rule is the same in every simulator.
 
 Rule "contact" (the paper's) depends on the simulator, whose own sensors feel it.
 
-Rule "force", and a threshold in newtons: a taxel that is on by rule "skin" reads what a sensor that
-stands a little proud of the skin would carry if it were the only one. The object presses on the hand
-with the sum F of its contacts' forces along the sensor's normal, at their centre of pressure. To
-rest on a sensor at the distance d from there it tips about the far rim of the contacts, at the
-distance b on the other side; by the lever the sensor carries F b / (b + d). Skin that gives way by
-`SKIN` makes a contact point a patch of the radius `PATCH`, which widens the rim; d counts from the
-sensor's edge. No reading depends on another taxel, so those of several do not add up to F. Against
-MuJoCo's touch sensors on such sensors, one at a time: docs/concepts/touch.md.
+Rule "force", and a threshold in newtons: a taxel that is on by rule "skin" reads what a
+sensor that stands a little proud of the skin would carry if it were the only one. The
+object presses on the hand with the sum F of its contacts' forces along the sensor's
+normal, at their centre of pressure. To rest on a sensor at the distance d from there it
+tips about the far rim of the contacts, at the distance b on the other side; by the
+lever the sensor carries F b / (b + d). Skin that gives way by `SKIN` makes a contact
+point a patch of the radius `PATCH`, which widens the rim; d counts from the sensor's
+edge. No reading depends on another taxel, so those of several do not add up to F.
+Against MuJoCo's touch sensors on such sensors, one at a time: docs/concepts/touch.md.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ RELEASE = 0.8  # of its threshold: the force below which a taxel that fires stop
 class LinkPoints:
     """Points that ride on links; where they are follows from the links' poses in one product.
 
-    Row i of the blocks (n, 4k) holds point i's homogeneous coordinates in the four columns of its
-    link; the poses stack to (..., 4k, 3).
+    Row i of the blocks (n, 4k) holds point i's homogeneous coordinates in the four
+    columns of its link; the poses stack to (..., 4k, 3).
     """
 
     def __init__(
@@ -97,7 +99,8 @@ class Rule(ABC):
     by_sensors: bool = False
     """True if the rule reads sensors that the simulator has where the taxels are."""
     is_batched: bool = False
-    """True if this very class reads states of many scenes, PyTorch's, too (`batch.BatchEnv`)."""
+    """True if this very class reads states of many scenes, PyTorch's, too
+    (`batch.BatchEnv`)."""
 
     @abstractmethod
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
@@ -114,12 +117,13 @@ class Rule(ABC):
 class SkinTouch(Rule):
     """Rule "skin" for the taxels of one layout on one hand. It remembers no reading.
 
-    A taxel is on when its sphere overlaps the object and one of some points is near enough to it: the
-    points of its skin. The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of
-    the object when one of many points along the bone is within radius + `SKIN`. The skin of a taxel on
-    a flat palm is the disc in which its sphere meets the plane; what lies above that and up to `SKIN`
-    from it is the cap of a larger sphere, whose centre is the only point. Of any other link, the skin
-    of a taxel is the geom that is nearest to it, whose distance MuJoCo computes.
+    A taxel is on when its sphere overlaps the object and one of some points is near
+    enough to it: the points of its skin. The skin of a phalanx is a capsule around its
+    bone, so it is within `SKIN` of the object when one of many points along the bone is
+    within radius + `SKIN`. The skin of a taxel on a flat palm is the disc in which its
+    sphere meets the plane; what lies above that and up to `SKIN` from it is the cap of
+    a larger sphere, whose centre is the only point. Of any other link, the skin of a
+    taxel is the geom that is nearest to it, whose distance MuJoCo computes.
     """
 
     is_batched = True
@@ -196,8 +200,8 @@ def _skin(
 ) -> tuple[Array, float]:
     """Return points (m, 3) of a taxel's skin, and how near the object must be to one of them.
 
-    From a convex body at least `radius` away, the distance of a line along a bone grows by no more than
-    s² / (2 radius) within s of where it is least.
+    From a convex body at least `radius` away, the distance of a line along a bone grows
+    by no more than s² / (2 radius) within s of where it is least.
     """
     if surface.geoms:  # `_Shaped` looks closer
         return position[None], radius
@@ -310,9 +314,9 @@ def make(
 ) -> Rule:
     """Return the rule of a name for some taxels.
 
-    They fire from `threshold` N up (None: from their own) and stop below `release` N (None: `RELEASE`
-    of the threshold), both times `spread` (n,). Raise ValueError for a threshold with a rule that reads
-    no force of its own.
+    They fire from `threshold` N up (None: from their own) and stop below `release` N
+    (None: `RELEASE` of the threshold), both times `spread` (n,). Raise ValueError for a
+    threshold with a rule that reads no force of its own.
     """
     thresholds = taxels.thresholds
     if threshold is not None:

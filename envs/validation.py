@@ -1,7 +1,8 @@
 """Check what anybody may have written: names, values of a dataclass's fields, and TOML files.
 
 A field's type says what it allows, and where that is an interval, the type says which:
-`Annotated[float, "[0, 1)"]`. All errors are ValueErrors of one line, "NAME: found X, allowed Y".
+`Annotated[float, "[0, 1)"]`. All errors are ValueErrors of one line, "NAME: found X,
+allowed Y".
 """
 
 from __future__ import annotations
@@ -158,8 +159,9 @@ def require_rising(span: tuple[float, ...], where: str) -> None:
 def require_type(value: Any, hint: Any, where: str) -> Any:
     """Return a value as the type `hint` has it, or raise ValueError.
 
-    Lists become tuples, whole numbers floats, tables dataclasses. It is an error when the value is not
-    of that type, or not in its interval. True is no number, nor is 10**400.
+    Lists become tuples, whole numbers floats, tables dataclasses. It is an error when
+    the value is not of that type, or not in its interval. True is no number, nor is
+    10**400.
     """
     is_union = get_origin(hint) in (Union, UnionType)
     options = get_args(hint) if is_union else (hint,)

@@ -1,9 +1,10 @@
 """Workers: environments of one kind in which whole episodes, or anything else, are played side by side.
 
-A job is a function of an environment and a number. What comes out is the job's results in the
-order of the numbers, whoever played them and however long each took: the same on one core and
-on sixteen, as long as a result depends on nothing but its number. Threads suffice where the
-simulator frees the GIL while it steps, as MuJoCo does; elsewhere each worker is a process.
+A job is a function of an environment and a number. What comes out is the job's results
+in the order of the numbers, whoever played them and however long each took: the same on
+one core and on sixteen, as long as a result depends on nothing but its number. Threads
+suffice where the simulator frees the GIL while it steps, as MuJoCo does; elsewhere each
+worker is a process.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ T = TypeVar("T")
 Make = Callable[[], gym.Env[Any, Any]]
 IsWanted = Callable[[], bool]
 Job = Callable[[gym.Env[Any, Any], int, IsWanted], T]
-"""Job of a worker: (env, number, is_wanted) -> result. When `is_wanted` turns false it may stop and
-return anything. Picklable, where workers are processes.
+"""Job of a worker: (env, number, is_wanted) -> result. When `is_wanted` turns false it
+may stop and return anything. Picklable, where workers are processes.
 """
 
 
@@ -105,8 +106,8 @@ class Workers:
     def play(self, job: Job[T], numbers: Iterable[int]) -> Iterator[T]:
         """Yield the results of `job` for `numbers`, in that order, each as soon as it can be had.
 
-        The workers run ahead. Who has enough stops iterating: what was begun beyond is not wanted
-        any more then, and nobody waits for it.
+        The workers run ahead. Who has enough stops iterating: what was begun beyond is
+        not wanted any more then, and nobody waits for it.
         """
         if self._pool is None:
             for number in numbers:
@@ -152,13 +153,13 @@ class Workers:
     def start_processes(self, n: int, make: Make, set_up: Callable[[], Any]) -> None:
         """Play in `n` processes, each in an environment of its own; they end when this one does.
 
-        `make` and `set_up`, which each calls first, are pickled: functions of a module, or
-        `functools.partial` of them; a script that uses this needs its ``if __name__ == "__main__"``.
-        What is raised there is raised here.
+        `make` and `set_up`, which each calls first, are pickled: functions of a module,
+        or `functools.partial` of them; a script that uses this needs its ``if __name__
+        == "__main__"``. What is raised there is raised here.
         """
-        # Never forks of this process, which would copy threads' locks and an MPI process's
-        # connections. On Linux they are forks of a server that has imported what takes seconds, which
-        # is Python's own default from 3.14 on.
+        # Never forks of this process, which would copy threads' locks and an MPI
+        # process's connections. On Linux they are forks of a server that has imported
+        # what takes seconds, which is Python's own default from 3.14 on.
         method = "forkserver" if sys.platform == "linux" else "spawn"
         context: Any = multiprocessing.get_context(method)
         context.set_forkserver_preload(["gymnasium", "torch"])  # where installed
@@ -166,8 +167,8 @@ class Workers:
         args = make, set_up, (*plugins.imported,), self._turn
         pool = ProcessPoolExecutor(n, context, _begin, args)
         self._pool = self._opened.enter_context(pool)
-        # They ignore Ctrl-C, which reaches the whole group: this process ends them. Signals can be
-        # set in the main thread alone.
+        # They ignore Ctrl-C, which reaches the whole group: this process ends them.
+        # Signals can be set in the main thread alone.
         is_main = threading.current_thread() is threading.main_thread()
         before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
         with _death_named():
@@ -196,7 +197,8 @@ def _death_named() -> Iterator[None]:
         raise WorkerDiedError("a worker's process has died") from error
 
 
-# In a worker's process: its environment, or the error with which it could not be made, and the turn.
+# In a worker's process: its environment, or the error with which it could not be made,
+# and the turn.
 _here = SimpleNamespace(env=None, error=None, turn=None)
 
 
@@ -241,9 +243,9 @@ def _play(job: Job[T], number: int, turn: int) -> T:
 def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Workers:
     """Start up to `workers` workers with an environment each.
 
-    An environment's ``side_by_side`` says how it may be played in: "threads", "processes", or
-    "in turn" where more workers would cost more than they bring. One that does not say gets
-    processes, for it may share state with its likes.
+    An environment's ``side_by_side`` says how it may be played in: "threads",
+    "processes", or "in turn" where more workers would cost more than they bring. One
+    that does not say gets processes, for it may share state with its likes.
     """
     with ExitStack() as opened:
         env = opened.enter_context(closing(make()))

@@ -1,13 +1,14 @@
 """tactilerl: what is touch worth to a robot hand?
 
-Hand-written PPO and DDPG+HER in PyTorch, and tactile grasping environments behind Gymnasium's
-interface; the command `tactilerl` trains on them, and so do the few names here:
+Hand-written PPO and DDPG+HER in PyTorch, and tactile grasping environments behind
+Gymnasium's interface; the command `tactilerl` trains on them, and so do the few names
+here:
 
     env = tactilerl.make("shadow", layout=4)
     ppo = tactilerl.PPO(env, seed=0).learn(50_000, progress=True)
 
-Each is imported when it is first used. `import tactilerl.envs`, and this package after Gymnasium,
-registers the environments: `gymnasium.make("tactilerl/Shadow-v0")`.
+Each is imported when it is first used. `import tactilerl.envs`, and this package after
+Gymnasium, registers the environments: `gymnasium.make("tactilerl/Shadow-v0")`.
 """
 
 import sys
@@ -38,7 +39,8 @@ __all__ = [
     "train",
 ]
 
-# No module of this package may have one of these names: importing it would hide the function.
+# No module of this package may have one of these names: importing it would hide the
+# function.
 _WHERE = {
     "envs": "envs",
     "make": "envs",

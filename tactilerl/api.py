@@ -61,15 +61,15 @@ class Learner:
     ) -> None:
         """Make a learner for `env`, with untrained networks.
 
-        `env` is an environment with Box or goal-Dict observations and bounded Box actions, whose
-        episodes end; wrap it as you like. Or pass an id, or a function that makes one, to play
-        `workers` episodes side by side: results are the same with any number. (Environments that
-        need a process each need a function that can be pickled: one of a module, or a
-        `functools.partial` of it.)
+        `env` is an environment with Box or goal-Dict observations and bounded Box
+        actions, whose episodes end; wrap it as you like. Or pass an id, or a function
+        that makes one, to play `workers` episodes side by side: results are the same
+        with any number. (Environments that need a process each need a function that can
+        be pickled: one of a module, or a `functools.partial` of it.)
 
-        `seed` is the random seed of everything, `device` PyTorch's device for the networks.
-        Hyperparameters are the flags of ``tactilerl train``, with the same defaults: those of
-        `recipe`, such as "paper" or "steady".
+        `seed` is the random seed of everything, `device` PyTorch's device for the
+        networks. Hyperparameters are the flags of ``tactilerl train``, with the same
+        defaults: those of `recipe`, such as "paper" or "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """
@@ -101,15 +101,17 @@ class Learner:
     ) -> Learner:
         """Learn for `total_timesteps` environment steps, and to the end of the cycle that reaches them.
 
-        Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
-        Returns the learner.
+        Call it again to go on, for `total_timesteps` more; what is annealed ends with
+        this call. Returns the learner.
 
-        `progress` shows what ``tactilerl train`` shows. `callback` is called after every epoch with
-        its row of ``progress.csv`` (``env_steps``, ``mean_return``, ``success_rate``, ...) and stops
-        the learning by returning False. `tensorboard` is a folder for events of the same columns.
+        `progress` shows what ``tactilerl train`` shows. `callback` is called after
+        every epoch with its row of ``progress.csv`` (``env_steps``, ``mean_return``,
+        ``success_rate``, ...) and stops the learning by returning False. `tensorboard`
+        is a folder for events of the same columns.
 
-        Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
-        parameter is no longer finite, and ValueError when the learner cannot use the rewards.
+        Raises DivergenceError (a FloatingPointError) when an observation, a reward, a
+        loss or a parameter is no longer finite, and ValueError when the learner cannot
+        use the rewards.
         """
         run = self._chosen.choose({"total_timesteps": total_timesteps}).run
         learner = self._learner
@@ -133,7 +135,8 @@ class Learner:
     def save(self, path: str | Path) -> None:
         """Write the current policy to a file that `load_policy` reads, replacing an older one.
 
-        The file holds what acting needs. To go on with the learning some day, use `train`.
+        The file holds what acting needs. To go on with the learning some day, use
+        `train`.
         """
         policies.save_policy(path, self.algo, self._learner)
 
@@ -170,12 +173,13 @@ def evaluate(
 ) -> dict[str, Any]:
     """Play episodes with a policy, from the same starts every time.
 
-    `policy` is what `load_policy` returns, a learner, a function of an observation that returns an
-    action, or an object with `predict`, such as a model of Stable-Baselines3.
-    Returns `success_rate` (where the environment reports ``is_success``) and `mean_return`, their
-    95 % intervals `success_rate_ci` (Wilson) and `mean_return_ci` (bootstrap), `mean_length` in
-    steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
-    for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
+    `policy` is what `load_policy` returns, a learner, a function of an observation that
+    returns an action, or an object with `predict`, such as a model of
+    Stable-Baselines3. Returns `success_rate` (where the environment reports
+    ``is_success``) and `mean_return`, their 95 % intervals `success_rate_ci` (Wilson)
+    and `mean_return_ci` (bootstrap), `mean_length` in steps and more, as ``tactilerl
+    evaluate --json`` does. `stochastic` keeps the exploration noise; for `env` and
+    `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
     validation.require_type(episodes, evaluation.EpisodeCount, "episodes")
     player = policy.policy() if isinstance(policy, Learner) else policy
@@ -194,9 +198,10 @@ def design(
 ) -> Layout:
     """Choose where a hand's taxels go, as ``tactilerl design`` does; a layout for ``make(layout=...)``.
 
-    Flags of the command are keywords, as in ``design(scene="handover", taxels=1, only=("palm",))``. Of
-    a range of numbers it is the layout with the most taxels, of a budget the best that it buys. Raises
-    ValueError, in one line, for an invalid flag, and for scenes in which nothing is handed over.
+    Flags of the command are keywords, as in ``design(scene="handover", taxels=1,
+    only=("palm",))``. Of a range of numbers it is the layout with the most taxels, of a
+    budget the best that it buys. Raises ValueError, in one line, for an invalid flag,
+    and for scenes in which nothing is handed over.
     """
     from .placement import choice
     from .placement.candidates import DesignFlags, Pool
@@ -220,15 +225,15 @@ def train(
 ) -> Path:
     """Train as ``tactilerl train`` does, and return the run folder.
 
-    `load_policy` and the commands take that folder. Flags of the command are keywords, as in
-    ``train("shadow", algo="ppo", layout=4, seed=1)``; `recipe` is "paper" where nothing is said;
-    `scene` is a named scene or its file. A run that is in `out` already goes on exactly where its last
-    epoch ended, if it has these settings; `resume` goes on with the run in a folder, whatever its
-    settings.
+    `load_policy` and the commands take that folder. Flags of the command are keywords,
+    as in ``train("shadow", algo="ppo", layout=4, seed=1)``; `recipe` is "paper" where
+    nothing is said; `scene` is a named scene or its file. A run that is in `out`
+    already goes on exactly where its last epoch ended, if it has these settings;
+    `resume` goes on with the run in a folder, whatever its settings.
 
-    Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
-    when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
-    is kept.
+    Raises ValueError naming an unknown or invalid flag, and DivergenceError (a
+    FloatingPointError) when an observation, a reward, a loss or a parameter is no
+    longer finite; the last checkpoint is kept.
     """
     base = resolve(algo, env or "", recipe, scene, resume, out)
     named = {"env": env, "algo": algo, "out": None if out is None else str(out)}

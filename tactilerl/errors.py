@@ -11,8 +11,8 @@ from types import FrameType
 from typing import NoReturn
 
 BAD_INPUT, BUSY = 2, 75
-"""Exit codes of commands that did nothing, since the input was wrong, or since another process is at it
-(EX_TEMPFAIL of sysexits.h)."""
+"""Exit codes of commands that did nothing, since the input was wrong, or since another
+process is at it (EX_TEMPFAIL of sysexits.h)."""
 PR_SET_PDEATHSIG = 1  # of prctl, linux/prctl.h
 
 
@@ -57,9 +57,10 @@ def input_errors(where: str = "") -> Iterator[None]:
 def leave_at_once() -> None:
     """Let Ctrl-C end the process from now on with one line, wherever it is.
 
-    For a program that has just started: nothing changes where Ctrl-C is handled otherwise, or ignored
-    as in the background of a shell. For commands that leave nothing behind, and while modules are
-    imported: a KeyboardInterrupt in the middle of an import comes out as all kinds of errors.
+    For a program that has just started: nothing changes where Ctrl-C is handled
+    otherwise, or ignored as in the background of a shell. For commands that leave
+    nothing behind, and while modules are imported: a KeyboardInterrupt in the middle of
+    an import comes out as all kinds of errors.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)

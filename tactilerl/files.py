@@ -28,7 +28,8 @@ def damage_named(
 ) -> Iterator[None]:
     """Turn any error from a file's content into an InputError that names the file and the `problem`.
 
-    Where there is no file it is a FileNotFoundError, or an InputError that says `missing`.
+    Where there is no file it is a FileNotFoundError, or an InputError that says
+    `missing`.
     """
     try:
         yield
@@ -53,8 +54,9 @@ def as_json(data: Any) -> bytes:
 def require_new(path: Path, overwrite: bool = False, *endings: str) -> None:
     """Raise InputError where something is at `path` that a command may not replace.
 
-    That is anything but an empty folder, unless it may `overwrite`. A name has to have one of the
-    `endings`, where there are some; "" is a folder's, which is made with those above it.
+    That is anything but an empty folder, unless it may `overwrite`. A name has to have
+    one of the `endings`, where there are some; "" is a folder's, which is made with
+    those above it.
     """
     if endings and path.suffix not in endings:
         allowed = ", ".join(ending or "nothing" for ending in endings)
@@ -79,8 +81,8 @@ def require_new(path: Path, overwrite: bool = False, *endings: str) -> None:
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Give a file to write to that takes the place of `path` when it is whole, or not at all.
 
-    InputError where a folder or a device is at `path`, or nothing can be written; OSError where the
-    disk is full.
+    InputError where a folder or a device is at `path`, or nothing can be written;
+    OSError where the disk is full.
     """
     require_file(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}{LEFTOVER}")
@@ -113,8 +115,9 @@ def make_folder(path: Path) -> None:
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes from writing to a folder, made where there is none.
 
-    Raise BusyError naming the process that holds it. The system releases the lock when the process
-    ends, however it ends. What a process left that was killed while it wrote is dropped.
+    Raise BusyError naming the process that holds it. The system releases the lock when
+    the process ends, however it ends. What a process left that was killed while it
+    wrote is dropped.
     """
     path = folder / ".lock"
     try:

@@ -1,7 +1,8 @@
 """Guess a hand's file from its model alone: from how its parts hang, are called and move.
 
-Digits are the chains that branch from the palm. Each axis of the palm is tried as its palmar side; the
-one on which the fingertips lie furthest in front of the palm while they close is kept.
+Digits are the chains that branch from the palm. Each axis of the palm is tried as its
+palmar side; the one on which the fingertips lie furthest in front of the palm while
+they close is kept.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ MAX_THUMB_COSINE = (
 )
 DISTAL_SHARE = 0.5  # of the way of a finger's first joint, what those beyond it go
 HALF_OPEN, OPENING = 0.5, 0.11
-"""Least share of opening at the start, and distance between thumb and fingers there, m."""
+"""Least share of opening at the start, and distance between thumb and fingers there,
+m."""
 FLEXING = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
 ALMOST_CLOSED = 0.85  # share of their way where fingers lie in front of the palm
 AXES = [*np.eye(3), *-np.eye(3)]
@@ -59,8 +61,9 @@ class Guess:
     def __init__(self, model: str, folder: Path, known: dict[str, Any]) -> None:
         """Find the palm and the chains of links that hang on it.
 
-        `model` is written as in the hand's file, which is to lie in `folder`. `known` has keys of the
-        file that are not to be guessed, and `servos` where the model's are to be dropped.
+        `model` is written as in the hand's file, which is to lie in `folder`. `known`
+        has keys of the file that are not to be guessed, and `servos` where the model's
+        are to be dropped.
         """
         self.folder = folder
         unknown = {"palmar": [1, 0, 0], "fingers": [0, 1, 0], "palm_point": [0, 0, 0]}
@@ -94,7 +97,8 @@ class Guess:
     def digits(self) -> list[str]:
         """Names of the digits: by words in names of links and joints, others counted from the thumb.
 
-        Without such a word the thumb is the digit that goes another way than all others.
+        Without such a word the thumb is the digit that goes another way than all
+        others.
         """
         names = [chain.name for chain in self.chains]
         names = [name if names.count(name) == 1 else "" for name in names]
@@ -183,8 +187,8 @@ class Guess:
     def _ends(self, number: int) -> dict[str, tuple[float, float]]:
         """Return (open, closed) of slides, and of hinges that turn about the axis of the last.
 
-        A joint closes to the side on which the tip comes nearer to the others', or else to that on
-        which there is more of its range.
+        A joint closes to the side on which the tip comes nearer to the others', or else
+        to that on which there is more of its range.
         """
         joints = self.chains[number].joints
         axes = {joint: self.turning(number, joint, {}) for joint in joints}
@@ -228,8 +232,9 @@ class Guess:
     def directions(self) -> tuple[Array, Array]:
         """(palmar, fingers), axes (3,) of the palm's frame.
 
-        Fingers that close lie in front of the palmar side. Open ones lie in the direction of fingers;
-        where they lie all around, that is across the way on which they close.
+        Fingers that close lie in front of the palmar side. Open ones lie in the
+        direction of fingers; where they lie all around, that is across the way on which
+        they close.
         """
         way = ALMOST_CLOSED * (self.stop if self.thumb is None else 1.0)
         closed = self.tips(between(*self.bent, way))[self.fingers].mean(axis=0)
@@ -290,8 +295,8 @@ class Guess:
     def poses(self) -> dict[str, Angles]:
         """Joint angles of three poses, by the title of their table.
 
-        Open and closed: the fingers until they touch, the thumb so that it meets them. At the start an
-        object just fits in.
+        Open and closed: the fingers until they touch, the thumb so that it meets them.
+        At the start an object just fits in.
         """
         opened, closed = self.bent[0].copy(), between(*self.bent, self.stop)
         if self.thumb is not None:
@@ -389,8 +394,8 @@ def _palm_of(spec: mujoco.MjSpec) -> str:
 def _root_of(palm: mujoco.MjsBody) -> mujoco.MjsBody:
     """Return where the hand of a palm begins if it is cut off what it hangs on.
 
-    That is the palm, or the link that it is part of where more digits hang on other parts of
-    that link. As many are those of another hand.
+    That is the palm, or the link that it is part of where more digits hang on other
+    parts of that link. As many are those of another hand.
     """
     link = mount.link_of(palm)
     n_others = _n_joints(link) - _n_joints(palm)

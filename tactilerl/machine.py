@@ -16,14 +16,15 @@ from .version import __version__
 PACKAGES = ["torch", "numpy", "gymnasium", "gymnasium-robotics", "mpi4py"]
 PACKAGES += ["mujoco-warp", "warp-lang"]
 WorkerCount = Annotated[int, "[1, 256]"] | None
-"""Number of episodes that are played side by side; None: as many as there are free cores."""
+"""Number of episodes that are played side by side; None: as many as there are free
+cores."""
 
 
 def free_cores(local_ranks: int = 1) -> int:
     """Return how many cores this process may use, at least 1, beside the other MPI ranks here.
 
-    A container's quota counts, but is not divided among ranks. Other processes do not count: what
-    a run does by default does not depend on what else runs.
+    A container's quota counts, but is not divided among ranks. Other processes do not
+    count: what a run does by default does not depend on what else runs.
     """
     from joblib import cpu_count  # slow to import
 
@@ -33,7 +34,8 @@ def free_cores(local_ranks: int = 1) -> int:
 def origin() -> dict[str, Any]:
     """Return what a run is made with here and now: versions, and our source's commit.
 
-    The commit ends in "-dirty" where files differ from it; it is None where there is no repository.
+    The commit ends in "-dirty" where files differ from it; it is None where there is no
+    repository.
     """
     commit = _commit(Path(__file__).resolve().parent)
     return {"versions": _versions(), "commit": commit}
@@ -55,7 +57,8 @@ def _versions() -> dict[str, str]:
 def _commit(folder: Path) -> str | None:
     """Return the commit of the repository that tracks this package in `folder`.
 
-    It ends in "-dirty" where tracked files were changed; None where no repository tracks the package.
+    It ends in "-dirty" where tracked files were changed; None where no repository
+    tracks the package.
     """
     git = ["git", "-C", str(folder)]
     # A virtual environment may lie inside a repository that does not track it.

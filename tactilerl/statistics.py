@@ -1,7 +1,7 @@
 """Statistics of evaluations and studies: pure functions over arrays.
 
-The first axis is always the samples: episodes or runs (independent seeds). Scores of runs are
-shares of success in [0, 1].
+The first axis is always the samples: episodes or runs (independent seeds). Scores of
+runs are shares of success in [0, 1].
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ class Estimate(NamedTuple):
 def converged_rate(rates: Array) -> float:
     """Return the level at which a curve (points,) spends most of its points.
 
-    The mode of the learning curve's histogram over [0, 1] (Melnik et al. 2021, "Using tactile
-    sensing to improve the sample efficiency and performance of deep deterministic policy gradients
-    for simulated in-hand manipulation tasks"): the mean of the points in the fullest bin. Of
-    equally full bins the one that the curve visited last counts.
+    The mode of the learning curve's histogram over [0, 1] (Melnik et al. 2021, "Using
+    tactile sensing to improve the sample efficiency and performance of deep
+    deterministic policy gradients for simulated in-hand manipulation tasks"): the mean
+    of the points in the fullest bin. Of equally full bins the one that the curve
+    visited last counts.
     """
     # Rounded, for 0.58 * 50 is 28.999999999999996.
     bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(int)
@@ -91,9 +92,10 @@ def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:
 def expanded(n: int) -> float:
     """Return the confidence at which a percentile interval of the mean of `n` samples is right.
 
-    Hesterberg 2015, "What teachers should know about the bootstrap" (https://arxiv.org/abs/1411.5279):
-    a bootstrap's spread is too small by a factor of sqrt(1 - 1/n), and takes the spread of the samples
-    for the true one, as a normal instead of a t quantile would.
+    Hesterberg 2015, "What teachers should know about the bootstrap"
+    (https://arxiv.org/abs/1411.5279): a bootstrap's spread is too small by a factor of
+    sqrt(1 - 1/n), and takes the spread of the samples for the true one, as a normal
+    instead of a t quantile would.
     """
     wide = math.sqrt(n / (n - 1)) * scipy.stats.t.isf((1 - CONFIDENCE) / 2, n - 1)
     return 1 - 2 * float(scipy.stats.norm.sf(wide))
@@ -126,8 +128,8 @@ def sign_flip_p(
 ) -> float:
     """Return the two-sided p-value of a mean difference (pairs,), by exchanging labels in pairs.
 
-    It is exact up to 16 pairs (Fisher 1935); with three it cannot fall below 0.25. It is NaN with
-    fewer than two.
+    It is exact up to 16 pairs (Fisher 1935); with three it cannot fall below 0.25. It
+    is NaN with fewer than two.
     """
     if len(differences) < 2:
         return math.nan

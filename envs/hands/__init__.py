@@ -58,7 +58,8 @@ __all__ = [
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
-"""The file of each hand of another package, by name, as its module adds it (`plugins`)."""
+"""The file of each hand of another package, by name, as its module adds it
+(`plugins`)."""
 
 
 def is_hand(name: str) -> bool:
@@ -108,8 +109,8 @@ def get(name: str) -> Hand:
 
     It is read once, as long as its files stay as they are.
 
-    Raises ValueError or FileNotFoundError saying what is wrong with its file or model, and ImportError
-    where the package that has the model is not installed.
+    Raises ValueError or FileNotFoundError saying what is wrong with its file or model,
+    and ImportError where the package that has the model is not installed.
     """
     path = file(name).absolute()
     if not path.is_file():

@@ -14,7 +14,8 @@ from .parts import Parts
 
 Timestep = Annotated[float, "[1e-05, 1.0]"]
 NUDGE, STILL, MOST_MOVED, GONE = 0.02, 0.4, 0.2, 10.0
-"""rad or m, s, rad or m twice: of a hand that should hang still, its joints moved a little."""
+"""rad or m, s, rad or m twice: of a hand that should hang still, its joints moved a
+little."""
 CLOSING = 1.0  # s; a scripted grasp takes that long
 PRESS, REACHED = 0.3, 0.7
 """N at each fingertip, and the share of its way that a servo goes against it."""
@@ -89,8 +90,8 @@ def _require_palmar(parts: Parts) -> None:
 def _weak(hand: Hand, model: mujoco.MjModel) -> tuple[str, ...]:
     """Return a note naming servos that do not close the hand in time.
 
-    Meanwhile something presses against each fingertip. It names none of a tendon of which another
-    joint may go the way.
+    Meanwhile something presses against each fingertip. It names none of a tendon of
+    which another joint may go the way.
     """
     data = _begun(hand, model)
     mujoco.mj_forward(model, data)

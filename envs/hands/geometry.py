@@ -41,7 +41,8 @@ class Geom(NamedTuple):
     quaternion: tuple[float, ...]
     """(4,), wxyz."""
     corners: tuple[tuple[float, ...], ...]
-    """Corners of a mesh's convex hull, or of the box around another shape, in the geom's frame, m."""
+    """Corners of a mesh's convex hull, or of the box around another shape, in the
+    geom's frame, m."""
 
     @property
     def turn(self) -> Rotation:
@@ -130,7 +131,8 @@ class Distances:
     ) -> bool:  # fmt: skip
         """Return whether a geom is within `reach` m of an object.
 
-        `position` (3,) and `rotation` (3, 3) are of the geom's link, `centre` and `turn` of the object.
+        `position` (3,) and `rotation` (3, 3) are of the geom's link, `centre` and
+        `turn` of the object.
         """
         model, data = self.model, self.data
         item = model.geom(shape.kind).id
@@ -167,8 +169,8 @@ _distances = lru_cache(maxsize=64)(Distances)
 def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
     """Return the distance of a point (3,) to all geoms of a link, and the normal of the nearest.
 
-    The distance is in m, negative inside. The outward normal (3,) is zero where there is none, as in
-    the middle of a sphere.
+    The distance is in m, negative inside. The outward normal (3,) is zero where there
+    is none, as in the middle of a sphere.
     """
 
     def away(place: Array) -> float:

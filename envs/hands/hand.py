@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 FOLDER, SUFFIX = Path(__file__).parent, ".toml"
 RADIUS = 2e-3  # m, of taxels of which nothing says it
 GRASP_SUFFIX = ".grasp.toml"
-"""Suffix in place of SUFFIX where a command keeps a grasp that it has found for a file without one."""
+"""Suffix in place of SUFFIX where a command keeps a grasp that it has found for a file
+without one."""
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """The first joints and actuators: they carry the whole hand along the world's axes."""
 ARM, FINGERS = slice(len(SLIDES)), slice(len(SLIDES), None)
@@ -36,9 +37,10 @@ SEGMENTS = ("proximal", "middle", "distal")
 class Surface:
     """The palmar side of one link: where taxels may lie.
 
-    A link that is one capsule is the palmar half of a cylinder. One of other or several ``geoms`` is
-    what is met when one comes from the palmar side. A flat palm is a plane. All vectors are in the
-    link's frame; the grid's origin is ``centre + radius * palmar`` on a cylinder.
+    A link that is one capsule is the palmar half of a cylinder. One of other or several
+    ``geoms`` is what is met when one comes from the palmar side. A flat palm is a
+    plane. All vectors are in the link's frame; the grid's origin is ``centre + radius *
+    palmar`` on a cylinder.
     """
 
     digit: str
@@ -48,7 +50,8 @@ class Surface:
     link: str
     """Body the taxels ride on."""
     centre: tuple[float, float, float]
-    """Point on the cylinder's axis (on the plane, or within the geoms) under the grid's centre, m."""
+    """Point on the cylinder's axis (on the plane, or within the geoms) under the grid's
+    centre, m."""
     along: tuple[float, float, float]
     """Unit vector towards the fingertip: the direction of a grid's rows."""
     palmar: tuple[float, float, float]
@@ -65,9 +68,10 @@ class Surface:
     def place(self, row: float, column: float) -> tuple[Array, Array] | None:
         """Return position (3,), m, and outward normal (3,) of a taxel, in the link's frame.
 
-        It lies `row` and `column` metres off the grid's middle. The flat grid is projected on to the
-        link along the palmar normal, so that the paper's pitches hold in the plane they are given in.
-        None where a link of any shape has nothing there; ValueError beside one that is a capsule.
+        It lies `row` and `column` metres off the grid's middle. The flat grid is
+        projected on to the link along the palmar normal, so that the paper's pitches
+        hold in the plane they are given in. None where a link of any shape has nothing
+        there; ValueError beside one that is a capsule.
         """
         palmar = np.array(self.palmar)
         above = (
@@ -163,16 +167,18 @@ class LinearAction:
 class ClosingAction:
     """Increments "in relation to the current position and within the limits" (paper, PyBullet set-up).
 
-    The slides move, where they are actions, and groups of joints go along their closing trajectories.
-    The position is the one last asked for, not the one reached: a finger that the object stops is
-    asked for more with each increment and presses the harder, up to its force limit. From the
-    position reached, any small step back would let go.
+    The slides move, where they are actions, and groups of joints go along their closing
+    trajectories. The position is the one last asked for, not the one reached: a finger
+    that the object stops is asked for more with each increment and presses the harder,
+    up to its force limit. From the position reached, any small step back would let go.
     """
 
     slide_step: Array
-    """(3,) how far an action of 1 moves each slide's target, m; (0,) where no slide is an action."""
+    """(3,) how far an action of 1 moves each slide's target, m; (0,) where no slide is
+    an action."""
     slide_limits: Array
-    """(3, 2) lowest and highest target of each slide, m; (0, 2) where no slide is an action."""
+    """(3, 2) lowest and highest target of each slide, m; (0, 2) where no slide is an
+    action."""
     closing_step: float
     """Share of the way from open to closed by which an action of 1 closes a group."""
     groups: tuple[Array, ...]
@@ -197,7 +203,8 @@ class ClosingAction:
     def commands(self, joint_targets: Array) -> Array:
         """Return the last value that each action commanded.
 
-        These are the slides' targets, m, and how far each group is to be closed, from 0 to 1.
+        These are the slides' targets, m, and how far each group is to be closed, from 0
+        to 1.
         """
         slides = joint_targets[..., : len(self.slide_step)]
         return np.concatenate([slides, self._closing(joint_targets)], axis=-1)
@@ -222,7 +229,8 @@ class Point(NamedTuple):
     position: tuple[float, ...]
     """(3,), m."""
     normal: tuple[float, ...]
-    """(3,), unit, outward; () stands for that of the nearest skin until the taxel is placed."""
+    """(3,), unit, outward; () stands for that of the nearest skin until the taxel is
+    placed."""
     radius: float
     """Radius of its sensing sphere, m."""
     name: str
@@ -275,8 +283,8 @@ class Coupling(NamedTuple):
     ratio: float
     offset: float = 0.0
     is_rigid: bool = False
-    """True for an equality, which follows the driver's position; False for a tendon, which follows its
-    target."""
+    """True for an equality, which follows the driver's position; False for a tendon,
+    which follows its target."""
 
     def at(self, driver: float) -> float:
         """Return the joint's position where its driver has this one."""
@@ -301,10 +309,11 @@ class Model:
     file: HandFile
     """The content of its file."""
     build: Callable[..., Any]
-    """Function that returns the hand alone as a new mujoco.MjSpec: no ground, no object, no taxels.
+    """Function that returns the hand alone as a new mujoco.MjSpec: no ground, no
+    object, no taxels.
 
-    Its arguments are `visual`, True to keep what only pictures need, and `finger_gain`, by which the
-    gain of the fingers' actuators is multiplied."""
+    Its arguments are `visual`, True to keep what only pictures need, and `finger_gain`,
+    by which the gain of the fingers' actuators is multiplied."""
     paths: tuple[Path, ...]
     """Files of its model, with what it includes and its meshes."""
     welded: dict[str, Frame]
@@ -320,12 +329,14 @@ class Actuation:
     joints: tuple[str, ...]
     """Joints in the order of the observation."""
     actuators: tuple[str, ...]
-    """Actuators in the order of joint targets; each drives the joint of ``actuated``."""
+    """Actuators in the order of joint targets; each drives the joint of
+    ``actuated``."""
     actuated: tuple[str, ...]
     couplings: tuple[Coupling, ...]
     """Couplings of joints that move with actuated ones."""
     opened: dict[str, float]
-    """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""
+    """Targets by actuator of the open hand, from where fingers that close in groups set
+    off, rad."""
     closed: dict[str, float]
     """Targets of the same actuators where the hand is closed, rad."""
     groups: dict[str, tuple[str, ...]]
@@ -370,16 +381,17 @@ class Geometry:
 class Start:
     """Where a hand is at first, and how it grasps from there.
 
-    It hangs palm down above the origin of the world. Its slides, in m, are zero where it starts over an
-    object no wider than ``start_clearance``.
+    It hangs palm down above the origin of the world. Its slides, in m, are zero where
+    it starts over an object no wider than ``start_clearance``.
     """
 
     start: dict[str, float]
     """Joint positions at reset, rad or m; 0 for joints that it does not name."""
     grasps: tuple[ScriptedGrasp, ...]
     start_clearance: ClassVar[float] = 0.05
-    """Edge of the largest cube that lies free of the hand at the start, m. Over what is higher the
-    hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
+    """Edge of the largest cube that lies free of the hand at the start, m. Over what is
+    higher the hand hangs higher; over what is wider it starts further up its slide
+    (`start_above`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -389,8 +401,8 @@ class Hand(Model, Actuation, Geometry, Start):
     def closing_from(self, start: float, actions: str) -> Hand:
         """Return the hand with slides that stand still and fingers that close and open.
 
-        They begin at `start`, a share of the way from open to closed. One action closes all of them
-        ("grip"), or one each group ("fingers").
+        They begin at `start`, a share of the way from open to closed. One action closes
+        all of them ("grip"), or one each group ("fingers").
         """
         action = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP)
         names, groups = tuple(self.groups), action.groups
@@ -422,10 +434,10 @@ class Hand(Model, Actuation, Geometry, Start):
     def start_above(self, width: float, height: float) -> Hand:
         """Return the hand as it starts over an object of these measures, m.
 
-        What is wider than `start_clearance` does not lie free between the fingers. Nothing of the
-        hand is below the ground at the start, so raised by the object's height it is free of the
-        object. The part of that above `start_clearance` is in how high the hand hangs, whatever the
-        width.
+        What is wider than `start_clearance` does not lie free between the fingers.
+        Nothing of the hand is below the ground at the start, so raised by the object's
+        height it is free of the object. The part of that above `start_clearance` is in
+        how high the hand hangs, whatever the width.
         """
         if width <= self.start_clearance:
             return self

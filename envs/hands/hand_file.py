@@ -1,7 +1,7 @@
 """A hand from a file: a model, and in TOML what it means (docs/guides/own_hand.md).
 
-The model says what moves and what collides; the file says where the palm is and which links are
-whose. Everything else has a default that follows from both.
+The model says what moves and what collides; the file says where the palm is and which
+links are whose. Everything else has a default that follows from both.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from .parts import Parts, require_distinct
 from .tables import GraspTable, HandFile, Names
 
 PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
-"""Columns: where the palmar side, the fingers and their cross product point in the world."""
+"""Columns: where the palmar side, the fingers and their cross product point in the
+world."""
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
 """m: around the hand at the start; of the search for it."""
 NANO = 9  # decimals of m that count of a place
@@ -44,8 +45,8 @@ TIMESTEP = 0.004  # s, of scenes that say nothing else
 def load(file: HandFile, path: Path) -> Hand:
     """Return the hand of a file that is at a path.
 
-    Raise ValueError naming what is wrong with it or its model, FileNotFoundError, and ImportError where
-    the model's package is not installed.
+    Raise ValueError naming what is wrong with it or its model, FileNotFoundError, and
+    ImportError where the model's package is not installed.
     """
     parts = Parts(file, path.parent)
     sides, (built, at) = surfaces.of(parts), _hung(parts)
@@ -174,7 +175,8 @@ def _hung(parts: Parts) -> tuple[Callable[..., mujoco.MjSpec], Array]:
 def _above_the_object(parts: Parts, spec: mujoco.MjSpec) -> Array:
     """Return where a point of the palm can be at the start (3,), m.
 
-    What closes around the object is above it, and as low as the hand is free of ground and object.
+    What closes around the object is above it, and as low as the hand is free of ground
+    and object.
     """
     room = Hand.start_clearance / 2
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
@@ -198,7 +200,8 @@ def _above_the_object(parts: Parts, spec: mujoco.MjSpec) -> Array:
 def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
     """Return the middle between the fingertips (3,), m.
 
-    Of a hand with a thumb it is between that and the others, closed as far as an object just fits in.
+    Of a hand with a thumb it is between that and the others, closed as far as an object
+    just fits in.
     """
     if "thumb" not in parts.digits or len(parts.digits) <= 2:
         half = posed(model, parts.pose(0.5))

@@ -13,12 +13,14 @@ import numpy as np
 
 from .. import validation
 
-# MuJoCo would print its warnings, which are counted (`Simulator.warnings`), and write a log.
+# MuJoCo would print its warnings, which are counted (`Simulator.warnings`), and write a
+# log.
 LOGS = mujoco.MjLogConfig.get()
 LOGS.logto_console = LOGS.logto_file = False
 LOGS.set()
 EMPTY_SPEC = mujoco.MjSpec()
-"""MuJoCo's own defaults, `EMPTY_SPEC.default`, for what is added to a model that has defaults."""
+"""MuJoCo's own defaults, `EMPTY_SPEC.default`, for what is added to a model that has
+defaults."""
 MESHES = (".stl", ".obj", ".msh")
 LARGEST_MESH = 2.0  # m, from the middle: larger ones are in mm
 # What a scene decides, and no hand:
@@ -81,7 +83,8 @@ def _with_included(path: Path, folder: Path) -> list[Path]:
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return the compiled model.
 
-    Raise ValueError in one line where it is wrong, a mesh of it cannot be found, or is in mm.
+    Raise ValueError in one line where it is wrong, a mesh of it cannot be found, or is
+    in mm.
     """
     with reading():
         model = spec.compile()

@@ -1,6 +1,7 @@
 """What is done to a hand's model: parts left out, links, couplings and servos.
 
-Position servos drive it: the model's own, in the units of their joints, or the library's.
+Position servos drive it: the model's own, in the units of their joints, or the
+library's.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ JOINT, TENDON = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
 def cleaned(model: Path, file: HandFile, visual: bool) -> mujoco.MjSpec:
     """Return a hand's model without what is left out, its bodies carried, on a single root.
 
-    What is fixed to a body is not yet part of it. `visual` keeps what only pictures need.
+    What is fixed to a body is not yet part of it. `visual` keeps what only pictures
+    need.
     """
     spec = model_file.read(model)
     _leave_out(spec, file)
@@ -51,8 +53,8 @@ def cleaned(model: Path, file: HandFile, visual: bool) -> mujoco.MjSpec:
 def _leave_out(spec: mujoco.MjSpec, file: HandFile) -> None:
     """Delete what no hand needs.
 
-    That is what the file says, what moves freely beside the hand, and what a scene has of its
-    own or has no use for.
+    That is what the file says, what moves freely beside the hand, and what a scene has
+    of its own or has no use for.
     """
     names = [each.name for kind in KINDS for each in getattr(spec, kind)]
     for pattern in file.drop:
@@ -106,7 +108,8 @@ def set_range(joint: mujoco.MjsJoint, low: float, high: float) -> None:
 def couple(spec: mujoco.MjSpec, couplings: Iterable[Coupling], servos: Servos) -> None:
     """Couple by an equality what a hand's file couples and its model does not.
 
-    What follows another joint by one gets what a servo's joint has, or it yields under load.
+    What follows another joint by one gets what a servo's joint has, or it yields under
+    load.
     """
     tied = {part.target.name for tendon in spec.tendons for part in tendon.path
             if part.type == mujoco.mjtWrap.mjWRAP_JOINT}  # fmt: skip
@@ -126,8 +129,8 @@ def couple(spec: mujoco.MjSpec, couplings: Iterable[Coupling], servos: Servos) -
 def drive(spec: mujoco.MjSpec, passive: Names, servos: Servos) -> None:
     """Have servos on the joints, measured in the joints' units.
 
-    They are the model's, or where it has none the library's on all joints but those that follow
-    another or are passive. All joints that are driven have a range.
+    They are the model's, or where it has none the library's on all joints but those
+    that follow another or are passive. All joints that are driven have a range.
     """
     for actuator in spec.actuators:
         measure_in_joints(spec, actuator)
@@ -147,9 +150,9 @@ def drive(spec: mujoco.MjSpec, passive: Names, servos: Servos) -> None:
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
     """Return the model with a single body at its root.
 
-    A body that is named as root is all that there is, with what it carries, at rest. Otherwise several
-    roots are put on one rigid base, and so is one that is in a frame or moves on a joint. Raise
-    ValueError where there is none, or several move freely.
+    A body that is named as root is all that there is, with what it carries, at rest.
+    Otherwise several roots are put on one rigid base, and so is one that is in a frame
+    or moves on a joint. Raise ValueError where there is none, or several move freely.
     """
     roots, whole = list(spec.worldbody.bodies), mujoco.MjSpec()
     if root:
@@ -234,7 +237,8 @@ def is_unranged(joint: mujoco.MjsJoint) -> bool:
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
     """Yield a coupling where an equality of the model couples two joints.
 
-    The second drives, unless only the first has a servo. Raise ValueError where it is no straight line.
+    The second drives, unless only the first has a servo. Raise ValueError where it is
+    no straight line.
     """
     driven = {joint for actuator in spec.actuators for joint in arms(spec, actuator)}
     for equality in spec.equalities:

@@ -89,8 +89,9 @@ def _segments(n: int) -> tuple[str, ...]:
 def _segment(parts: Parts, empty: Surface, way: Array, side: Array | None) -> Surface:
     """Return the palmar side of a link: the given one, or that to which closing turns or moves it.
 
-    `way` (3, 3) is, in the link's frame, the way to the fingertip, how closing moves that, and the axis
-    about which it turns the digit. Rows go along the axis of a capsule, else towards the tip.
+    `way` (3, 3) is, in the link's frame, the way to the fingertip, how closing moves
+    that, and the axis about which it turns the digit. Rows go along the axis of a
+    capsule, else towards the tip.
     """
     where = f"digits.{empty.digit}: body {empty.link!r}"
     geoms, (along, move, axis) = geoms_of(parts.model, empty.link), way
@@ -136,7 +137,8 @@ def _around(surface: Surface) -> Surface:
 def _palm_side(parts: Parts, name: str, digit: DigitTable | None) -> Surface:
     """Return the palm at the base of a digit, or at its own point.
 
-    It is a plane where the file says that the palm is flat, else what is met from the palmar side.
+    It is a plane where the file says that the palm is flat, else what is met from the
+    palmar side.
     """
     frame, base = parts.palm_frame, parts.palm_point
     if digit is not None:
@@ -170,7 +172,8 @@ def sensors(parts: Parts) -> Sensors:
         place = np.array(frame.point(spot.position))
         geoms = geoms_of(parts.model, frame.link) if frame.link in links else ()
         others = [geom for geom in geoms if not np.allclose(geom.position, place)]
-        # A sensor of a shape of its own is in the middle of it, where no side is the nearest.
+        # A sensor of a shape of its own is in the middle of it, where no side is the
+        # nearest.
         shapes = tuple(others) or geoms
         away, normal = outside(shapes, place) if geoms else (OFF_SKIN, place)
         if abs(away) >= OFF_SKIN or not normal.any():

@@ -24,7 +24,8 @@ class Slides:
     damping: Positive = 79.0
     """Damping, N s/m."""
     force: Positive = 30.0
-    """Largest force, N. Without a limit on it the hand would be pressed into the ground."""
+    """Largest force, N. Without a limit on it the hand would be pressed into the
+    ground."""
     centre: Vector | None = None
     """Position at action 0, m; default: the height of the last grasp."""
     half_range: tuple[Fraction, Fraction, Fraction] = (0.03, 0.03, 0.20)
@@ -147,8 +148,9 @@ class HandFile:
     contacts: Literal["others", "model"] = "others"
     palm_is_flat: bool = False
     added_inertia: Positive = 1e-4
-    """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
-    is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
+    """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it,
+    and the value is the one that comes nearest to small timesteps
+    (docs/accuracy_and_speed.md)."""
     observation: Names = (
         "joint_positions",
         "joint_velocities",

@@ -1,8 +1,8 @@
 """Named scenes: choices of hand, simulator, task and senses that belong together, and who learns there.
 
-Each is a TOML file here, or anybody's own, that says why it chose what it chose. With `base` it says
-only what differs from another scene of the library. `scaled` names the lengths that are meant for the
-scene's own hand: on another they grow with its fingers.
+Each is a TOML file here, or anybody's own, that says why it chose what it chose. With
+`base` it says only what differs from another scene of the library. `scaled` names the
+lengths that are meant for the scene's own hand: on another they grow with its fingers.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class NamedScene:
     scene: dict[str, Any] = field(default_factory=dict)
     """Fields of `grasp.GraspConfig`."""
     train: dict[str, Any] = field(default_factory=dict)
-    """Flags of ``tactilerl train``: learner, recipe, hyperparameters, length; in a table by the name of
-    another learner, those for that one."""
+    """Flags of ``tactilerl train``: learner, recipe, hyperparameters, length; in a
+    table by the name of another learner, those for that one."""
     scaled: tuple[str, ...] = ()
     """Fields of `scene` that are lengths relative to the fingers of `env`."""
     base: str = ""

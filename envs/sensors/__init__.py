@@ -1,7 +1,8 @@
 """Sensors as data: a file says what a taxel can do, what is unknown of it, and what it costs.
 
-`load` reads a sensor of the library, or a file of one's own; `choose` puts its numbers into the fields
-`taxel_...` of a configuration, which say what each means (`observations.SensorConfig`).
+`load` reads a sensor of the library, or a file of one's own; `choose` puts its numbers
+into the fields `taxel_...` of a configuration, which say what each means
+(`observations.SensorConfig`).
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ class SensorFile:
     about: str
     source: str
     numbers: dict[str, float]
-    """What is known, in SI units (the drift in N/min), by the fields `taxel_...` that it is for."""
+    """What is known, in SI units (the drift in N/min), by the fields `taxel_...` that
+    it is for."""
     cost: Cost | None
 
     def fields(self, config: Any) -> dict[str, Any]:
@@ -127,8 +129,9 @@ def load(name: str | Path) -> SensorFile:
 def choose(config: T, choices: Mapping[str, Any]) -> T:
     """Return a copy of a `grasp.GraspConfig` with some fields chosen otherwise.
 
-    A sensor brings its numbers, which the other choices overrule; without touch, or with the sensor "",
-    there are none. Raise ValueError naming what is wrong with the sensor, and FileNotFoundError.
+    A sensor brings its numbers, which the other choices overrule; without touch, or
+    with the sensor "", there are none. Raise ValueError naming what is wrong with the
+    sensor, and FileNotFoundError.
     """
     changed: Any = validation.replace(config, choices)
     numbers: dict[str, Any] = {}

@@ -30,8 +30,8 @@ class SimulationError(FloatingPointError):
 class Giver:
     """Bring the object to the hand: hold it by a damped spring and carry its weight.
 
-    The spring's rest point moves at `speed`, so what stands in the way is pressed on harder and harder,
-    but never with more than `force`.
+    The spring's rest point moves at `speed`, so what stands in the way is pressed on
+    harder and harder, but never with more than `force`.
     """
 
     stiffness: float = 80.0
@@ -143,7 +143,8 @@ class Camera:
     distance: float = 0.32
     """Distance, m."""
     lookat: tuple[float, float, float] | None = None
-    """Point it looks at, m; None: between the palm and the object, wherever they are."""
+    """Point it looks at, m; None: between the palm and the object, wherever they
+    are."""
     width: int = 720
     height: int = 540
     shadows: bool = True
@@ -156,7 +157,8 @@ class Simulator(ABC):
     holds_gil: ClassVar[bool]
     """True where `step` keeps other threads of Python waiting."""
     joint_limits: Array
-    """Lowest and highest positions (n_joints, 2) of ``hand.joints``, rad or m, ±inf without one."""
+    """Lowest and highest positions (n_joints, 2) of ``hand.joints``, rad or m, ±inf
+    without one."""
 
     warnings: int = 0
     """Number of times that the engine has warned since it was made, resets included."""
@@ -178,8 +180,9 @@ class Simulator(ABC):
     ) -> None:
         """Put everything at rest; afterwards the past has no influence.
 
-        Raise SimulationError when the physics cannot begin there. `targets` (n_actuators,) are the
-        state's until the next step; usually the hand's at its start.
+        Raise SimulationError when the physics cannot begin there. `targets`
+        (n_actuators,) are the state's until the next step; usually the hand's at its
+        start.
         """
         self._targets = self.scene.hand.start_targets() if targets is None else targets
         with self._checked():

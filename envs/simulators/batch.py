@@ -1,8 +1,9 @@
 """Many simulated scenes side by side: the interface, and its plain form, MuJoCo in a loop.
 
-All worlds have the same hand and the same kind of object, whose measures differ by world. What comes
-in by world is NumPy's, what is read is PyTorch's, on the device. The loop is exact, and no faster than
-its worlds one after the other; `warp.WarpSimulator` does the same on a GPU.
+All worlds have the same hand and the same kind of object, whose measures differ by
+world. What comes in by world is NumPy's, what is read is PyTorch's, on the device. The
+loop is exact, and no faster than its worlds one after the other; `warp.WarpSimulator`
+does the same on a GPU.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ class BatchSimulator:
     """Many running scenes (n of them). `which` are always the indices (k,) of some worlds."""
 
     diverged: Array
-    """Bool (n,): where the last step or reset failed, or had no room for its contacts."""
+    """Bool (n,): where the last step or reset failed, or had no room for its
+    contacts."""
     device, dtype = torch.device("cpu"), torch.float64
 
     def __init__(self, scene: Scene, n: int) -> None:

@@ -52,16 +52,19 @@ SURROUNDINGS = f"""
   </worldbody>
   <actuator>{{actuators}}</actuator>
 </mujoco>"""
-# MuJoCo's own has the geom's axes, for which a compiled model that was another object's has no room.
+# MuJoCo's own has the geom's axes, for which a compiled model that was another object's
+# has no room.
 INERTIAL = '<inertial pos="0 0 0" mass="{!r}" diaginertia="{} {} {}"/>'
-# The priority is for the object's friction: else MuJoCo takes the larger of the two in contact.
+# The priority is for the object's friction: else MuJoCo takes the larger of the two in
+# contact.
 SPRING = f"""
 <general name="{GIVER}{{axis}}" site="{OBJECT}" refsite="{GIVER}" gear="{{gear}}" dyntype="integrator"
          gainprm="{{stiffness!r}}" biastype="affine" biasprm="0 -{{stiffness!r}} -{{damping!r}}"
          forcerange="-{{force!r}} {{force!r}}" actlimited="true" actrange="-1 1"
          group="{GIVERS_GROUP}"/>"""
-"""A damped spring along an axis of the world, whose rest point, the actuator's activation, goes at the
-speed that is its control and stays within the activation's range."""
+"""A damped spring along an axis of the world, whose rest point, the actuator's
+activation, goes at the speed that is its control and stays within the activation's
+range."""
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
@@ -82,8 +85,9 @@ DIVERGENCE_WARNINGS = [
     for what in ("QPOS", "QVEL", "QACC")
 ]
 
-# Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
-# ratio 1 a held cube slides out of the fingers within the 20 s of a hold test.
+# Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal
+# cones and ratio 1 a held cube slides out of the fingers within the 20 s of a hold
+# test.
 FRICTION_TO_NORMAL_IMPEDANCE = 100.0
 SKINS = 3.0  # times as much with a soft skin, so that it creeps no faster
 
@@ -197,7 +201,8 @@ class MujocoSimulator(Simulator):
         self.model = model_file.compiled(build_spec(scene))
         self._impratio = self.model.opt.impratio
         _set_mean_inertia(self.model)
-        # A diverged state is reported, not silently replaced by the start of the episode.
+        # A diverged state is reported, not silently replaced by the start of the
+        # episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data = mujoco.MjData(self.model)
         self._past_warnings = 0

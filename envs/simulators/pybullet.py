@@ -1,9 +1,9 @@
 """The scene in PyBullet.
 
-Bullet has no tendons, armature or position servos of its own. Here joints on one tendon get
-targets of their own, motors are Bullet's velocity constraints with the model's force limits,
-the hand feels no gravity (gravity is a force on the object alone), and links, which are too
-light for Bullet's solver, get some rotational inertia.
+Bullet has no tendons, armature or position servos of its own. Here joints on one tendon
+get targets of their own, motors are Bullet's velocity constraints with the model's
+force limits, the hand feels no gravity (gravity is a force on the object alone), and
+links, which are too light for Bullet's solver, get some rotational inertia.
 """
 
 from __future__ import annotations
@@ -182,8 +182,9 @@ class PyBulletSimulator(Simulator):
     def _motor_figures(self) -> tuple[list[int], list[float], list[float]]:
         """Return joint, gain and force limit of each motor: the actuated joints, then the coupled.
 
-        A motor takes back the share `gain` of its error in a step. The model's servo, a spring of
-        `stiffness` on a damped joint, takes it back at the rate stiffness / damping.
+        A motor takes back the share `gain` of its error in a step. The model's servo, a
+        spring of `stiffness` on a damped joint, takes it back at the rate stiffness /
+        damping.
         """
         hand, model = self.scene.hand, self.model
         limits, gains = [], []

@@ -1,9 +1,9 @@
 """A compiled MuJoCo model as URDF, for simulators that read that.
 
-Every body becomes a link of the same name and frame; a body with several joints hangs on
-massless links, one for each joint but the last. Poses, joint ranges, masses and inertias
-carry over to the last digit (tests/envs/test_simulators.py), what URDF cannot say does not:
-tendons, armature, actuators, friction, contact filters.
+Every body becomes a link of the same name and frame; a body with several joints hangs
+on massless links, one for each joint but the last. Poses, joint ranges, masses and
+inertias carry over to the last digit (tests/envs/test_simulators.py), what URDF cannot
+say does not: tendons, armature, actuators, friction, contact filters.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Many scenes at once in MuJoCo Warp, on a GPU; on a CPU it runs, for tests alone.
 
-What differs by world are arrays of the model with a row for each: the object's measures, the giver's
-springs, creep. They are made before the graph of a timestep is captured, and only written to after.
+What differs by world are arrays of the model with a row for each: the object's
+measures, the giver's springs, creep. They are made before the graph of a timestep is
+captured, and only written to after.
 """
 
 from __future__ import annotations

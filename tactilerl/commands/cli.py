@@ -30,8 +30,8 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0: done, 1: stopped or failed a check, 2: bad input, 75: another process writes there, 130:
-    interrupted.
+    0: done, 1: stopped or failed a check, 2: bad input, 75: another process writes
+    there, 130: interrupted.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # shows "?" for what it cannot show

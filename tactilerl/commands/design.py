@@ -42,7 +42,8 @@ class Flags(DesignFlags):
     """All flags of `tactilerl design`."""
 
     out: Path | None = None
-    """FILE.toml for the largest layout, or a folder for all of them, a page and JSON."""
+    """FILE.toml for the largest layout, or a folder for all of them, a page and
+    JSON."""
     overwrite: bool = False
     """Replace files of --out that are there."""
 

@@ -37,11 +37,12 @@ class EnvFlags:
     describe: bool = False
     """List every entry of the observation and the action."""
     check: bool = False
-    """Play scripted grasps and say which taxels fire while the object is held and which never do. The
-    exit code is 1 where a grasp does not hold, or for more than half of the time no taxel fires."""
+    """Play scripted grasps and say which taxels fire while the object is held and which
+    never do. The exit code is 1 where a grasp does not hold, or for more than half of
+    the time no taxel fires."""
     fit_sensor: tuple[Path, ...] = ()
-    """Print a sensor's file, fitted to logs in which it is pressed and released: CSV with
-    time,force_N,reading, a log for each specimen."""
+    """Print a sensor's file, fitted to logs in which it is pressed and released: CSV
+    with time,force_N,reading, a log for each specimen."""
     json: bool = False
     """Print JSON instead of text."""
 

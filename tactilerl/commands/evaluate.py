@@ -48,12 +48,14 @@ class _CommandFlags:
     workers: WorkerCount = None
     """Episodes played side by side; default: one per free core."""
     touch: Literal["on", "off"] | None = None
-    """Touch for the policy: on, as in training, or off (all taxels read zero); default: the run's."""
+    """Touch for the policy: on, as in training, or off (all taxels read zero); default:
+    the run's."""
     json: bool = False
-    """Print JSON instead of a table, with what became of each episode: `render RUN --episode N` films
-    it."""
+    """Print JSON instead of a table, with what became of each episode: `render RUN
+    --episode N` films it."""
     record: Path | None = None
-    """CSV file for every step of the episodes: what was observed, done and earned, in named columns."""
+    """CSV file for every step of the episodes: what was observed, done and earned, in
+    named columns."""
     overwrite: bool = False
     """Replace a record that is there."""
 

@@ -2,8 +2,8 @@
 
 It goes from sensors by name to an action and joint targets.
 
-The graph keeps nothing between two calls. What it has to know of the last one is an input ``last_X``
-for each such output ``X``.
+The graph keeps nothing between two calls. What it has to know of the last one is an
+input ``last_X`` for each such output ``X``.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ class Controller(nn.Module):
     """Compute an action and joint targets from what a hand's sensors read."""
 
     inputs: dict[str, Tensor]
-    """All inputs by name, in order, as before an episode: sensors read 0, nothing was read before."""
+    """All inputs by name, in order, as before an episode: sensors read 0, nothing was
+    read before."""
 
     def __init__(self, policy: Policy, env: GraspEnv) -> None:
         """Take a policy and an environment that it fits."""

@@ -34,7 +34,8 @@ class GateFlags:
     starts: Annotated[int, "[1, inf)"] = 200
     """Number of initial states from which the chosen scripted hands are compared."""
     search: Annotated[int, "[1, inf)"] = 20
-    """Initial states per candidate during the search; there are 15 candidates per sense."""
+    """Initial states per candidate during the search; there are 15 candidates per
+    sense."""
     seed: Annotated[int, "[0, 999999]"] = 0
     """Random seed of the initial states."""
     workers: WorkerCount = None

@@ -32,15 +32,16 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder whose policy plays in the run's own scene. Several are filmed side by side, from the
-    same initial states. Without a run, a scripted grasp is drawn."""
+    """Run folder whose policy plays in the run's own scene. Several are filmed side by
+    side, from the same initial states. Without a run, a scripted grasp is drawn."""
     video: Path = Path("episodes.mp4")
     """File of the film."""
     episodes: Annotated[int, "[1, inf)"] = 3
-    """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2 s."""
+    """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2
+    s."""
     episode: Annotated[int, "[0, inf)"] | None = None
-    """Only this episode, by its number in `evaluate RUN --json`, as that plays it: with the whole hold
-    test."""
+    """Only this episode, by its number in `evaluate RUN --json`, as that plays it: with
+    the whole hold test."""
     env: str = "shadow"
     """The hand in the picture."""
     out: Path = Path("grasp.png")

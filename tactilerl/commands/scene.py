@@ -30,7 +30,8 @@ class SceneFlag:
     """A scene, whose values the other flags override."""
 
     scene: str = ""
-    """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags override it."""
+    """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags
+    override it."""
 
 
 def require_hand(env: str, *others: str) -> None:
@@ -88,10 +89,11 @@ def warn(notes: Sequence[str]) -> None:
 def layout_notes(name: str, layout: str) -> list[str]:
     """Return notes about a layout on a hand.
 
-    They name places where it wants taxels and the hand has no surface, and its taxels off the skin of
-    theirs.
+    They name places where it wants taxels and the hand has no surface, and its taxels
+    off the skin of theirs.
 
-    Raise ValueError where it names places that the hand lacks and does not say that it may.
+    Raise ValueError where it names places that the hand lacks and does not say that it
+    may.
     """
     wanted, hand = layouts.load(layout), hands.get(name)
     about, notes = f"layout {layouts.short(layout)}:", [*hand.notes]

@@ -31,12 +31,13 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
-    """Place where runs are trained: local; gpu, where runs that differ in layout, touch, seed or
-    numbers of the learner are one batch (extra: gpu); or dask:ADDRESS, a scheduler of Dask (extra:
-    cluster).
+    """Place where runs are trained: local; gpu, where runs that differ in layout,
+    touch, seed or numbers of the learner are one batch (extra: gpu); or dask:ADDRESS, a
+    scheduler of Dask (extra: cluster).
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained side by side; default: one per core. On a GPU: batches; default: 6."""
+    """Runs trained side by side; default: one per core. On a GPU: batches; default:
+    6."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False

@@ -46,7 +46,8 @@ class Place(NamedTuple):
     column: float
     radius: float
     height: float
-    """Height of a taxel that is given as a point, over the middle of the surface's grid."""
+    """Height of a taxel that is given as a point, over the middle of the surface's
+    grid."""
 
 
 def places(taxels: Taxels) -> list[Place]:
@@ -127,7 +128,8 @@ class Panel(NamedTuple):
 def panels(hand: Hand) -> list[Panel]:
     """Return a panel for each of the hand's surfaces.
 
-    Digits stand side by side, their segments from the base up to the tip, and the palm below them.
+    Digits stand side by side, their segments from the base up to the tip, and the palm
+    below them.
     """
     spans = [np.multiply(1e3, surface.span).tolist() for surface in hand.surfaces]
     columns = sorted(hand.digits, key=lambda digit: (*DIGITS, digit).index(digit))
@@ -161,8 +163,8 @@ class Unrolled:
     def __init__(self, hand: Hand) -> None:
         """Lay out the hand's surfaces and words.
 
-        Each digit's name stands above its tip, and "palm" below the palm: `labels` has the words, and
-        the middle (x, y) of the baseline of each.
+        Each digit's name stands above its tip, and "palm" below the palm: `labels` has
+        the words, and the middle (x, y) of the baseline of each.
         """
         self.panels, self.labels = panels(hand), list[tuple[str, float, float]]()
         palm = []

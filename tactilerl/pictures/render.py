@@ -39,7 +39,8 @@ def picture(
 ) -> int:
     """Write a picture of the start or of a scripted grasp; return how many taxels fire in it.
 
-    Beside it is the hand unrolled. In a handover the hand closes around what its giver holds.
+    Beside it is the hand unrolled. In a handover the hand closes around what its giver
+    holds.
     """
     with extra("render"):
         from PIL import Image
@@ -161,9 +162,9 @@ def film(
 ) -> Iterator[list[bool]]:
     """Write a film of trained runs' policies, in real time, side by side from the same starts.
 
-    Yield the success of each, episode by episode, those of `numbers`. A hold test is as long as
-    `hold_seconds`, also for its verdict; None: as in the run's scene. The camera follows the hand.
-    InputError when a run's environment is not a grasping one.
+    Yield the success of each, episode by episode, those of `numbers`. A hold test is as
+    long as `hold_seconds`, also for its verdict; None: as in the run's scene. The
+    camera follows the hand. InputError when a run's environment is not a grasping one.
     """
     with extra("render"):
         import imageio.v2 as imageio

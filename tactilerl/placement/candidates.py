@@ -28,7 +28,8 @@ Spacing = Annotated[float, "[0.5, 50]"]
 """Distance of the taxels of a dense skin, mm."""
 TOUCHING = 1e-6  # m by which two sensors may overlap, so that those that just fit do
 INTACT: dict[str, Any] = {"touch": "on", **asdict(TaxelFaults())}
-"""Fields of a scene whose recording serves all its taxels, whichever of them there are."""
+"""Fields of a scene whose recording serves all its taxels, whichever of them there
+are."""
 
 
 @dataclass(frozen=True)
@@ -36,39 +37,45 @@ class DesignFlags:
     """Options of a design: which taxels may be chosen, by what, and from which starts."""
 
     scene: tuple[str, ...] = ("handover_anywhere",)
-    """One or more named scenes, or scenes' .toml files, in which an object is handed over; all count
-    alike."""
+    """One or more named scenes, or scenes' .toml files, in which an object is handed
+    over; all count alike."""
     env: str = ""
-    """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the first scene's."""
+    """A hand: shadow, mpl, allegro, or the path of a hand's .toml file; default: the
+    first scene's."""
     sensor: str = ""
     """A sensor, by name or .toml file: its radius, threshold, delay and price."""
     budget: Annotated[float, "(0, inf)"] | None = None
-    """Money for taxels and boards, in the currency of the sensor's [cost]; the table also shows what
-    smaller sums buy."""
+    """Money for taxels and boards, in the currency of the sensor's [cost]; the table
+    also shows what smaller sums buy."""
     boards: str = ""
-    """What one board may serve: taxel, digit, segment, or a .toml file with a [[group]] for each;
-    default: the whole hand."""
+    """What one board may serve: taxel, digit, segment, or a .toml file with a [[group]]
+    for each; default: the whole hand."""
     taxels: str = ""
-    """Number of taxels to place, or a range such as 1..12; default: 4, or 1..12 with --budget."""
+    """Number of taxels to place, or a range such as 1..12; default: 4, or 1..12 with
+    --budget."""
     skin: str = "4mm"
-    """Candidates: the spacing of a grid over all surfaces, a layout, or a layout file."""
+    """Candidates: the spacing of a grid over all surfaces, a layout, or a layout
+    file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
-    """Radius of your sensors, mm. With it, no two chosen ones overlap. Default: the sensor's; else the
-    hand's own, or that of the layout."""
+    """Radius of your sensors, mm. With it, no two chosen ones overlap. Default: the
+    sensor's; else the hand's own, or that of the layout."""
     margin: Annotated[float, "[0, 50]"] = 0.0
-    """Smallest distance of a taxel from each edge of its segment, mm, so that a housing fits."""
+    """Smallest distance of a taxel from each edge of its segment, mm, so that a housing
+    fits."""
     only: tuple[str, ...] = ()
-    """Only on these segments, digits, or segments of digits, such as palm distal index.middle."""
+    """Only on these segments, digits, or segments of digits, such as palm distal
+    index.middle."""
     keep: str = ""
     """A layout whose taxels the hand already has; the chosen ones are added to them."""
     taxel_threshold: Newtons | None = None
-    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or any touch."""
+    """Force from which a taxel fires, N; default: the sensor's, the first scene's, or
+    any touch."""
     survives: str = ""
-    """Maximise success after the worst loss of what fails together: taxel, digit, segment, or a .toml
-    file with a [[group]] for each."""
+    """Maximise success after the worst loss of what fails together: taxel, digit,
+    segment, or a .toml file with a [[group]] for each."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """How far the hand is closed while it waits, from open (0) to closed (1); default: as in the first
-    scene. With several, each set of taxels uses its best."""
+    """How far the hand is closed while it waits, from open (0) to closed (1); default:
+    as in the first scene. With several, each set of taxels uses its best."""
     beside: tuple[str, ...] = tuple("123456")
     """Layouts to compare with."""
     starts: Annotated[int, "[1, 250000]"] = 200
@@ -78,7 +85,8 @@ class DesignFlags:
     seed: Annotated[int, "[0, 999]"] = 0
     """Random seed of the starts."""
     workers: WorkerCount = None
-    """Starts played side by side; default: one per free core. Results do not depend on it."""
+    """Starts played side by side; default: one per free core. Results do not depend on
+    it."""
 
     @property
     def choices(self) -> dict[str, Any]:
@@ -158,9 +166,9 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
 def skin(name: str, hand: Hand) -> Taxels:
     """Return a layout's taxels, or those of a dense skin such as "2mm".
 
-    That is a grid over the palmar side of the whole hand, with every segment and a flat palm around the
-    bases of the fingers; its taxels have the radius of the hand's own. Raise ValueError and
-    FileNotFoundError where there is none.
+    That is a grid over the palmar side of the whole hand, with every segment and a flat
+    palm around the bases of the fingers; its taxels have the radius of the hand's own.
+    Raise ValueError and FileNotFoundError where there is none.
     """
     if "\n" in name or not name.endswith("mm"):
         return layouts.load(name).place(hand)
@@ -183,8 +191,9 @@ def _grid(
 ) -> Iterator[tuple[float, float]]:
     """Yield (row, column) in mm of as many as the surface carries, through its middle.
 
-    `spacing` and `radius` are in m. The tip of a capsule is round and its taxels stand as on a
-    cylinder: rows go on over the tip as long as a taxel still reaches the skin under it.
+    `spacing` and `radius` are in m. The tip of a capsule is round and its taxels stand
+    as on a cylinder: rows go on over the tip as long as a taxel still reaches the skin
+    under it.
     """
     begin, end, half_width = surface.span
     if surface.segment == "distal" and surface.bone is not None:
@@ -362,7 +371,8 @@ class Prices:
 def priced(flags: DesignFlags, hand: Hand, skin: Taxels, free: Array) -> Prices | None:
     """Return what taxels cost; None where nobody says it.
 
-    Raise ValueError for a budget then, and for one that may be chosen and that no board serves.
+    Raise ValueError for a budget then, and for one that may be chosen and that no board
+    serves.
     """
     cost = sensors.load(flags.sensor).cost if flags.sensor else None
     if cost is None:
@@ -393,7 +403,8 @@ class Pool:
     scenes: dict[str, GraspConfig]
     hand: Hand
     skin: Taxels
-    """First those that the hand has already, then candidates, then layouts to compare with."""
+    """First those that the hand has already, then candidates, then layouts to compare
+    with."""
     existing: list[int]
     """Those that the hand has already."""
     free: Array
@@ -404,7 +415,8 @@ class Pool:
     prices: Prices | None = None
     """None where the sensor's file says none."""
     overlap: Array | None = None
-    """(n, n) bool: which two do not fit beside each other? None where nobody said their radius."""
+    """(n, n) bool: which two do not fit beside each other? None where nobody said their
+    radius."""
     early: tuple[str, ...] = ()
     """Names of candidates that were left out."""
 

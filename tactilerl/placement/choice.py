@@ -33,8 +33,8 @@ class Row:
     """Say how good a set of taxels is, in starts from which none was chosen."""
 
     layout: str
-    """A layout, "whole skin", "chosen", "random": the mean of random sets, or "no touch": the best
-    scripted hand without."""
+    """A layout, "whole skin", "chosen", "random": the mean of random sets, or "no
+    touch": the best scripted hand without."""
     taxels: int
     success: float
     felt: float
@@ -61,7 +61,8 @@ class Pick(NamedTuple):
     key: float
     """Number of taxels, or with a budget the price."""
     n: int
-    """Number of taxels; those that the hand has already do not count for it, nor for the price."""
+    """Number of taxels; those that the hand has already do not count for it, nor for
+    the price."""
     boards: int
     """Number of boards that these may take; 0 for any."""
     price: float | None
@@ -95,9 +96,10 @@ class Judge:
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
         """Return success, with its interval, share felt, and success after the worst loss.
 
-        Which loss is the worst is found in the starts to choose from: in these, the least of several
-        shares would be too low, and its interval as well. A set that was chosen for its worst loss has
-        none there that stands out; for it, the least share is nearer to the truth, and not too high.
+        Which loss is the worst is found in the starts to choose from: in these, the
+        least of several shares would be too low, and its interval as well. A set that
+        was chosen for its worst loss has none there that stands out; for it, the least
+        share is nearer to the truth, and not too high.
         """
         wait, losses = self.wait(taxels), self.pool.losses
         starts, found_in = self.test[wait], self.choice[wait]
@@ -149,8 +151,8 @@ class Design:
 
     judge: Judge
     chosen: dict[float, list[int]]
-    """Chosen sets by number of taxels, or with a budget by price; with those that the hand has
-    already, which do not count for either."""
+    """Chosen sets by number of taxels, or with a budget by price; with those that the
+    hand has already, which do not count for either."""
     rows: list[Row]
     """The first is that of no touch."""
     blind_hand: str
@@ -246,7 +248,8 @@ def design(pool: Pool, workers: int, tick: Tick = lambda: None) -> Design:
 def judged(judge: Judge, blind: float, blind_hand: str, wait: float) -> Design:
     """Return what is chosen from played starts, beside what it is compared with.
 
-    The best hand without touch is `wait` closed while it waits, and has the success `blind`.
+    The best hand without touch is `wait` closed while it waits, and has the success
+    `blind`.
     """
     pool = judge.pool
     interval = _interval(blind, len(judge.test[wait]))
@@ -280,8 +283,8 @@ def n_played(pool: Pool) -> int:
 def _blind(pool: Pool, wait: float, workers: int, tick: Tick) -> tuple[float, str]:
     """Return the success of the best scripted hand without touch, and which it is.
 
-    It is chosen in the starts from which the gate chooses it, and judged where taxels are.
-    The success is the mean over scenes, each with the hand that is best there.
+    It is chosen in the starts from which the gate chooses it, and judged where taxels
+    are. The success is the mean over scenes, each with the hand that is best there.
     """
     flags = pool.flags
     searched = gate.numbers(flags.seed, _search(flags), gate.SEARCH)
@@ -317,8 +320,8 @@ def _waiting(pool: Pool, wait: float) -> list[GraspConfig]:
 def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
     """Choose the best set of each size that is asked for, of all ways to wait.
 
-    Within a budget these are the sets that no cheaper one reaches. Raise ValueError where there is no
-    room for as many taxels as are asked for.
+    Within a budget these are the sets that no cheaper one reaches. Raise ValueError
+    where there is no room for as many taxels as are asked for.
     """
     size, n_existing = len(pool.free), len(pool.existing)
     losses = pool.to_survive[:, :size]
@@ -353,8 +356,9 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
 def knee(prices: Sequence[float], successes: Sequence[float]) -> int:
     """Return the index from which on more money buys little.
 
-    It is the point that is furthest above the line from the first to the last (Satopää et al. 2011,
-    "Finding a 'kneedle' in a haystack"). The first is what one has for nothing.
+    It is the point that is furthest above the line from the first to the last (Satopää
+    et al. 2011, "Finding a 'kneedle' in a haystack"). The first is what one has for
+    nothing.
     """
     x, y = (np.asarray(values, float) for values in (prices, successes))
     run, rise = max(x[-1] - x[0], 1e-9), max(y[-1] - y[0], 1e-9)

@@ -1,10 +1,11 @@
 """Choose taxels for a hand that closes at the first touch: pure functions of recorded starts.
 
-A start counts for a set of taxels where the first of them to fire does so at a moment from which
-closing succeeds. Where no taxel fires too early, that is maximum coverage (Nemhauser, Wolsey and
-Fisher 1978). Losses, bool (g, m), say which taxels fail together: each row is a taxel, a digit, or
-what shares a board. What counts then is success after the worst of them, and among equals success
-without any. Numbers of starts are compared, not shares, so that equals are equal.
+A start counts for a set of taxels where the first of them to fire does so at a moment
+from which closing succeeds. Where no taxel fires too early, that is maximum coverage
+(Nemhauser, Wolsey and Fisher 1978). Losses, bool (g, m), say which taxels fail
+together: each row is a taxel, a digit, or what shares a board. What counts then is
+success after the worst of them, and among equals success without any. Numbers of starts
+are compared, not shares, so that equals are equal.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class Starts:
     fires: Array
     """(n, m) uint8: after how many actions each taxel fires first, or NEVER."""
     succeeds: Array
-    """(n, NEVER + 1) bool: does a hand succeed that closes after so many actions? False where
-    nobody asked, and for NEVER."""
+    """(n, NEVER + 1) bool: does a hand succeed that closes after so many actions? False
+    where nobody asked, and for NEVER."""
     sets_off: Array
     """(n,) before which action no reading can tell that the object comes."""
     lets_go: Array
@@ -129,7 +130,8 @@ def greedy(
 
     Those `existing` stay. There may be no room for as many.
     """
-    # Of equally good sets, the one whose taxels feel more is the likelier to feel unseen starts.
+    # Of equally good sets, the one whose taxels feel more is the likelier to feel
+    # unseen starts.
     ties = 0.5 * starts.worth
 
     def best_addition(rests: list[list[int]]) -> list[int]:
@@ -161,8 +163,8 @@ def choose(
 ) -> list[int]:
     """Return the best `k` taxels that are found and fit, or as many as were found to have room.
 
-    The search begins with the `existing` ones alone, with each of the few that are worth most, and with
-    losses also with the best set for none.
+    The search begins with the `existing` ones alone, with each of the few that are
+    worth most, and with losses also with the best set for none.
     """
     is_free, firsts = fits(existing), [list(existing)]
     for taxel in np.argsort(-starts.worth, kind="stable")[:FIRSTS].tolist():

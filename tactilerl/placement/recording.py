@@ -1,7 +1,7 @@
 """Play handovers while the hand waits.
 
-Nothing before it closes depends on its taxels, so one recording serves every layout. Each start is then
-played again for each moment at which the hand could close.
+Nothing before it closes depends on its taxels, so one recording serves every layout.
+Each start is then played again for each moment at which the hand could close.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from .cover import NEVER, Starts
 class SkinnedEnv(GraspEnv):
     """Read a whole skin beside the taxels of the layout.
 
-    More taxels than one layout may have; some lie in the same place and differ in size or threshold.
+    More taxels than one layout may have; some lie in the same place and differ in size
+    or threshold.
     """
 
     def __init__(self, hand: str, config: GraspConfig, skin: Taxels) -> None:
@@ -69,7 +70,8 @@ def _play(
 ) -> tuple[Array, Array, int, int]:
     """Return a row of each array of `Starts`.
 
-    Readings come `late` actions late. A start in which the physics breaks is felt by nobody.
+    Readings come `late` actions late. A start in which the physics breaks is felt by
+    nobody.
     """
     base: Any = env.unwrapped
     fires = np.full(base.skin_size, NEVER, np.uint8)

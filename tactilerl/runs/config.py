@@ -1,7 +1,7 @@
 """Hold a run's configuration: options of the run, choices of the scene, hyperparameters.
 
-Each command-line flag is a field of one of these dataclasses; `--algo`, `--env` and `--recipe`
-decide which dataclasses there are and what the defaults are.
+Each command-line flag is a field of one of these dataclasses; `--algo`, `--env` and
+`--recipe` decide which dataclasses there are and what the defaults are.
 """
 
 from __future__ import annotations
@@ -32,36 +32,40 @@ class RunOptions:
     algo: str = "ppo"
     """Learner: ppo or ddpg_her."""
     env: str = "shadow"
-    """A hand (shadow, mpl, allegro, or a hand's .toml file), a toy (lqr, point-reach), or the id of a
-    Gymnasium environment with Box or goal-Dict observations and Box actions."""
+    """A hand (shadow, mpl, allegro, or a hand's .toml file), a toy (lqr, point-reach),
+    or the id of a Gymnasium environment with Box or goal-Dict observations and Box
+    actions."""
     total_timesteps: Annotated[int, "[1, 1e15]"] = 500_000
     """Environment steps of the whole run, over all processes."""
     workers: WorkerCount = None
-    """Episodes played side by side in each process, which also learns on up to two of these cores;
-    default: one per free core. Results do not depend on it."""
+    """Episodes played side by side in each process, which also learns on up to two of
+    these cores; default: one per free core. Results do not depend on it."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of the whole run."""
     out: str | None = None
-    """Run folder; default: runs/ALGO_ENV_..._sSEED. A run that is already there continues if its flags
-    are the same."""
+    """Run folder; default: runs/ALGO_ENV_..._sSEED. A run that is already there
+    continues if its flags are the same."""
     device: str = "cpu"
     """PyTorch device of the networks, such as cuda."""
     n_test_episodes: Annotated[int, "[0, 100000]"] = 0
-    """Episodes of a test at the end of the run, without exploration noise: the first that `evaluate`
-    plays, in the scene of the training. Studies: 200 unless they say otherwise."""
+    """Episodes of a test at the end of the run, without exploration noise: the first
+    that `evaluate` plays, in the scene of the training. Studies: 200 unless they say
+    otherwise."""
     tensorboard: bool = False
     """Also write TensorBoard events (extra: tensorboard)."""
 
 
 PARTS = ("run", "scene", "learner")
-# Fields that may differ between a run and its continuation: they do not change its course.
+# Fields that may differ between a run and its continuation: they do not change its
+# course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard", "n_test_episodes"}
 LENGTH_COUNTS = (
     " and anneals (--anneal-lr and the like) to zero over that length, so it cannot be extended: "
     "begin a run of the whole length, or one without annealing"
 )
 FINAL_TEST = "final_test_success_rate"
-"""Column of progress.csv: empty but in the last row of a run that is tested at its end."""
+"""Column of progress.csv: empty but in the last row of a run that is tested at its
+end."""
 HAND_COPY = "hand.toml"  # in the run folder, when the hand is none of the library's
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
@@ -74,9 +78,11 @@ class RunConfig:
     scene: GraspConfig | None
     learner: Any
     folder: Path | None = None
-    """The run's folder, once it exists: its copies of a layout's and a hand's file count."""
+    """The run's folder, once it exists: its copies of a layout's and a hand's file
+    count."""
     hand: str = ""
-    """Digest of the files of a hand of one's own (`hands.digest`) with which the run was made."""
+    """Digest of the files of a hand of one's own (`hands.digest`) with which the run
+    was made."""
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -118,8 +124,8 @@ class RunConfig:
     def place(self) -> tuple[str, GraspConfig | None]:
         """The environment's name or its hand, and the scene, with the run's own copies of files.
 
-        InputError when that would import a module that nobody has asked for, or the files of its
-        hand have gone or changed.
+        InputError when that would import a module that nobody has asked for, or the
+        files of its hand have gone or changed.
         """
         env, scene = self.run.env, self.scene
         module, colon, _ = env.partition(":")
@@ -195,8 +201,9 @@ def defaults(
 ) -> RunConfig:
     """Return the configuration before any flag: the paper's, but for what a named scene says.
 
-    With another learner than the scene's own, only what the scene says for that one counts
-    (`[train.ddpg_her]`). Raises InputError for an unknown algorithm, recipe, environment or scene.
+    With another learner than the scene's own, only what the scene says for that one
+    counts (`[train.ddpg_her]`). Raises InputError for an unknown algorithm, recipe,
+    environment or scene.
     """
     names = {"algo": algo, "env": env, "recipe": recipe, "scene": scene}
     with input_errors(f"scene {scene}" if scene else ""):
@@ -226,8 +233,9 @@ def defaults(
 def configure(choices: Mapping[str, Any]) -> RunConfig:
     """Return the validated configuration that some choices make, by the names of fields.
 
-    `algo`, `env`, `recipe` and `scene` decide which fields there are and their defaults; values
-    are plain, as TOML or JSON has them. Raises InputError naming the first that is wrong.
+    `algo`, `env`, `recipe` and `scene` decide which fields there are and their
+    defaults; values are plain, as TOML or JSON has them. Raises InputError naming the
+    first that is wrong.
     """
     deciding = {key: choices.get(key) for key in ("algo", "env", "recipe", "scene")}
     rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}

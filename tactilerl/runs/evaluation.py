@@ -30,8 +30,8 @@ SEED = 10_000_000  # evaluation starts are not those of training
 class OthersPolicy:
     """Play a policy of another library.
 
-    It is a function of an observation, or an object with `predict`, as those of Stable-Baselines3.
-    Actions are as the environment takes them.
+    It is a function of an observation, or an object with `predict`, as those of
+    Stable-Baselines3. Actions are as the environment takes them.
     """
 
     def __init__(self, policy: Any, spaces: Spaces, stochastic: bool) -> None:
@@ -79,8 +79,8 @@ def task(policy: Any, stochastic: bool = False) -> PlayEpisode:
 def row(episode: Episode) -> dict[str, Any]:
     """Return an episode's seed, success at its end, steps held, return, length and faults.
 
-    Success is nan where the environment has none; an episode that diverged has no success. `held` is
-    the number of steps for which success had stood by the end.
+    Success is nan where the environment has none; an episode that diverged has no
+    success. `held` is the number of steps for which success had stood by the end.
     """
     return {
         "seed": episode.seed,
@@ -139,8 +139,9 @@ def recorder(
 ) -> Iterator[Callable[[int, Episode[Any]], None]]:
     """Give a function that adds an episode, with its number, to a new CSV file, if there is one.
 
-    A row has what the policy was told, what it did, and what came of it. The first three columns and
-    the last have LeRobot's names. Nothing is written where an error occurs inside.
+    A row has what the policy was told, what it did, and what came of it. The first
+    three columns and the last have LeRobot's names. Nothing is written where an error
+    occurs inside.
     """
     if path is None:
         yield lambda *_: None

@@ -43,9 +43,10 @@ class Trained(NamedTuple):
 def load_policy(path: str | Path) -> Policy:
     """Return the policy of a run folder at its last checkpoint, or of a file that `save` wrote.
 
-    Such files come from `PPO.save` and `DDPGHER.save`. `policy.act(obs)` is the action for an
-    observation, or for a batch of observations. Files of others are safe to load: only tensors and
-    plain values are read. Raises ValueError, one line, when there is no policy or its file is damaged.
+    Such files come from `PPO.save` and `DDPGHER.save`. `policy.act(obs)` is the action
+    for an observation, or for a batch of observations. Files of others are safe to
+    load: only tensors and plain values are read. Raises ValueError, one line, when
+    there is no policy or its file is damaged.
     """
     path = Path(path)
     if path.is_dir():
@@ -66,8 +67,8 @@ def _read(path: Path) -> dict[str, Any]:
 def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     """Write the policy of a learner, whole or not at all; replaces another policy that is there.
 
-    Raises ValueError when `path` is no place for a file, or holds another one, and OSError when
-    the disk is full.
+    Raises ValueError when `path` is no place for a file, or holds another one, and
+    OSError when the disk is full.
     """
     path = Path(path)
     if path.is_file():

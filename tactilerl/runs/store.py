@@ -1,12 +1,13 @@
 """The files of a run: config.json, progress.csv, checkpoint.pt, and what a learner remembers.
 
-A folder can be cut off at any moment (`kill -9`, a full disk) and stays readable: files are
-replaced whole, and the progress table is cut back to the checkpoint when a run goes on. One
-process writes to it: whoever makes it or goes on with it holds its lock.
+A folder can be cut off at any moment (`kill -9`, a full disk) and stays readable: files
+are replaced whole, and the progress table is cut back to the checkpoint when a run goes
+on. One process writes to it: whoever makes it or goes on with it holds its lock.
 
-`checkpoint.pt` is what the run depends on, without the experience of learners that remember.
-That grows slowly and would be rewritten again and again, so what an epoch and rank added is a
-file of its own in experience/, and the checkpoint names the epochs that belong to it.
+`checkpoint.pt` is what the run depends on, without the experience of learners that
+remember. That grows slowly and would be rewritten again and again, so what an epoch and
+rank added is a file of its own in experience/, and the checkpoint names the epochs that
+belong to it.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ def write_tensors(path: Path, content: Values) -> None:
 def read_tensors(path: Path, kind: str, key: str, version: int) -> Values:
     """Return the values that `write_tensors` wrote, whose `key` is the `version` of the format.
 
-    Tensors are mapped from the file, not copied. Raise InputError where the file is missing, damaged
-    or of another kind; code in it is never run.
+    Tensors are mapped from the file, not copied. Raise InputError where the file is
+    missing, damaged or of another kind; code in it is never run.
     """
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"not a {kind} of this version", missing):
@@ -158,8 +159,8 @@ class RunDir:
     ) -> None:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
-        That is versions, and the `batch` of runs, if any. A run that goes on after `epoch` with others
-        keeps the record of those before.
+        That is versions, and the `batch` of runs, if any. A run that goes on after
+        `epoch` with others keeps the record of those before.
         """
         begins = not self.config_file.exists()
         origins = [] if begins else self.record()["provenance"]
@@ -226,7 +227,8 @@ class RunDir:
     def cut(self, epoch: int) -> None:
         """Drop the rows that were written after the checkpoint of `epoch`, if there are some.
 
-        InputError where rows before it are missing; a table that is missing begins anew.
+        InputError where rows before it are missing; a table that is missing begins
+        anew.
         """
         epochs = [row["epoch"] for row in self.rows()]
         if epochs and epochs[-1] < epoch:
@@ -252,7 +254,8 @@ class RunDir:
 def _hand_file(path: Path) -> bytes:
     """Return a hand's file with the absolute path of its model.
 
-    The model may be large and stays where it is; a model of an installed package keeps its name.
+    The model may be large and stays where it is; a model of an installed package keeps
+    its name.
     """
     text = validation.read_text(path, "hand file")
     model = str(validation.read(path, "hand file")["model"])
@@ -350,8 +353,8 @@ def resolve(
 ) -> RunConfig:
     """Return the configuration before other choices: defaults, or that of the run in `resume`.
 
-    Imports the module that `env` names. Raise InputError where `resume` holds no run, or a scene, a
-    recipe or another folder is named as well.
+    Imports the module that `env` names. Raise InputError where `resume` holds no run,
+    or a scene, a recipe or another folder is named as well.
     """
     module, colon, _ = str(env).partition(":")
     if colon:

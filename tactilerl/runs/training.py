@@ -75,10 +75,10 @@ def start_workers(
 def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
     """Train until the learner's `total_timesteps`; return the run folder.
 
-    A run that is there already goes on from its checkpoint, bit for bit as if it had never been cut
-    off. `summary` is shown at the beginning.
-    Raises InputError over bad input and DivergenceError when the learner or every episode
-    breaks; the last checkpoint stays.
+    A run that is there already goes on from its checkpoint, bit for bit as if it had
+    never been cut off. `summary` is shown at the beginning. Raises InputError over bad
+    input and DivergenceError when the learner or every episode breaks; the last
+    checkpoint stays.
     """
     run_dir = RunDir(
         config.folder or Path(config.run.out or Path("runs") / config.name())
@@ -141,8 +141,8 @@ def begin(
 ) -> int:
     """Restore a run's state and return the epoch after which it goes on; save what begins, at 0.
 
-    `batch` says in config.json of which batch it is part. InputError where the goal was made smaller,
-    and the run is beyond it already.
+    `batch` says in config.json of which batch it is part. InputError where the goal was
+    made smaller, and the run is beyond it already.
     """
     run_dir, learner, comm = checkpoint.run_dir, checkpoint.learner, checkpoint.comm
     epoch = 0
@@ -196,8 +196,8 @@ def cycles(
 ) -> tuple[list[Any], list[Any], list[float]]:
     """Let a learner collect and update; return what both say, and the seconds that they take.
 
-    An epoch has as many cycles as the algorithm's, but none begins beyond the run's length, where what
-    is annealed is zero: the first is always played.
+    An epoch has as many cycles as the algorithm's, but none begins beyond the run's
+    length, where what is annealed is zero: the first is always played.
     """
     collected, learned, seconds = list[Any](), list[Any](), [0.0, 0.0]
     while not collected or (len(collected) < learner.cycles_per_epoch and goes_on()):

@@ -1,8 +1,9 @@
 """Fit the file of a sensor to logs in which it is pressed and released: `tactilerl env --fit-sensor`.
 
-A sensor fires when its reading is further from that at rest than its noise goes. If it fires from the
-force T up and its readings are late by d, then the force at that moment is T + d · v, where v is how
-fast the force rises; likewise when it stops. Slow and fast presses together tell T from d.
+A sensor fires when its reading is further from that at rest than its noise goes. If it
+fires from the force T up and its readings are late by d, then the force at that moment
+is T + d · v, where v is how fast the force rises; likewise when it stops. Slow and fast
+presses together tell T from d.
 """
 
 from __future__ import annotations
@@ -114,8 +115,8 @@ def _read(path: Path) -> tuple[Array, float]:
 def _pressed(time: Array, force: Array, reading: Array) -> tuple[Array, float]:
     """Return presses (n, 4): force, N, and its rate, N/s, when the sensor fires and when it stops.
 
-    The second value is the noise of its reading at rest, N; 0 where it is one bit. Raise ValueError
-    where a log does not tell.
+    The second value is the noise of its reading at rest, N; 0 where it is one bit.
+    Raise ValueError where a log does not tell.
     """
     step = float(np.median(np.diff(time)))
     smooth = uniform_filter1d(force, max(1, round(WINDOW / step)))

@@ -14,7 +14,8 @@ from ..envs.grasp import GraspConfig, GraspEnv
 from . import reflexes
 
 COMPARISON, SEARCH = 0, 1_000_000
-"""Numbers of the first starts to compare in and to search in, with seed 0; `design` has others."""
+"""Numbers of the first starts to compare in and to search in, with seed 0; `design` has
+others."""
 MIN_GAIN = (
     0.3  # difference of success rates from which touch, or a scene, says anything
 )
@@ -30,7 +31,8 @@ SENSES = {
     "touch": ("touch", "enough taxels fire"),
     "sighted": ("sight", "the object is seen to be in place"),
 }
-"""Sense of `reflexes.SENSES` by which each scripted hand goes, and when it goes over."""
+"""Sense of `reflexes.SENSES` by which each scripted hand goes, and when it goes
+over."""
 BLIND = "timed", "joints", "active", "sight"
 """Scripted hands that neither feel nor see the object's exact place."""
 
@@ -77,8 +79,9 @@ def examine(
 ) -> list[HandResult]:
     """Find the best reflex of each of these senses in a scene, and say how often it succeeds.
 
-    Each sense has as many candidates, and each candidate the same starts `searched`; the best of them
-    plays those `compared`. `tick` is called after every one of the `n_played` episodes of a sense.
+    Each sense has as many candidates, and each candidate the same starts `searched`;
+    the best of them plays those `compared`. `tick` is called after every one of the
+    `n_played` episodes of a sense.
     """
     results = []
     for name in useful_senses(scene):

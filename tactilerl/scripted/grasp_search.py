@@ -27,7 +27,8 @@ GOOD = (
 BEST = 6  # candidates from which the next are drawn around
 MAX_OFFSET = 0.025  # m that the palm may be beside its place at the start
 GROUNDS = 0.004, -0.03, -0.03
-"""Height of the lowest fingertip over the ground in each search, m: as the hand closes, tips rise."""
+"""Height of the lowest fingertip over the ground in each search, m: as the hand closes,
+tips rise."""
 UP = 0.05  # m above its place at the start
 CLOSINGS = (0.3, 1.2)
 BONUS = 0.1  # of all digits touching, and as much is lost where the object is `UP` off the middle
@@ -39,7 +40,8 @@ class FoundGrasp(NamedTuple):
 
     grasp: ScriptedGrasp
     closing: float
-    """Share of the way to the closed hand that the fingers close; 1 is the closed hand."""
+    """Share of the way to the closed hand that the fingers close; 1 is the closed
+    hand."""
     share: float
     """Share of the steps of its holds in which the object was up."""
 
@@ -57,9 +59,11 @@ class Candidate(NamedTuple):
 
     goodness: float
     share: float
-    """Share of the steps in which the object was up, like its goodness the mean over the starts."""
+    """Share of the steps in which the object was up, like its goodness the mean over
+    the starts."""
     figures: Array
-    """Palm's offset (x, y, z) from its place at the start, m, and the share that the fingers close."""
+    """Palm's offset (x, y, z) from its place at the start, m, and the share that the
+    fingers close."""
 
 
 def find(
@@ -70,10 +74,11 @@ def find(
 ) -> FoundGrasp:
     """Find the best grasp of the scene's object.
 
-    Of grasps that hold it as long, the best is the one that most digits touch and that has it best in
-    the middle. This is a cross-entropy search over the palm's place and how far the hand closes, again,
-    and lower, where its best is not good. `tick` is called after every candidate. Raise ValueError when
-    the hand's file does not say what its closed hand is.
+    Of grasps that hold it as long, the best is the one that most digits touch and that
+    has it best in the middle. This is a cross-entropy search over the palm's place and
+    how far the hand closes, again, and lower, where its best is not good. `tick` is
+    called after every candidate. Raise ValueError when the hand's file does not say
+    what its closed hand is.
     """
     make = partial(GraspEnv, hand, config)
     with closing(vector.start(make, workers)) as played_in:

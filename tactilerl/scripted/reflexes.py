@@ -1,9 +1,10 @@
 """Play scripted reflexes, to see what can be won in a scene with one sense and one decision.
 
-All do the same two things and differ in when they go over to the second. Where an object is handed
-over they wait, then close; an active hand does not wait still, but closes and opens. Elsewhere they
-approach and close, then lift. A search may choose when to go over, and also how far to close (in a
-lift) or how long each squeeze lasts (of an active hand).
+All do the same two things and differ in when they go over to the second. Where an
+object is handed over they wait, then close; an active hand does not wait still, but
+closes and opens. Elsewhere they approach and close, then lift. A search may choose when
+to go over, and also how far to close (in a lift) or how long each squeeze lasts (of an
+active hand).
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ SENSES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
     "touch": (range(1, 16), (2, 6, 12)),
     "sight": (np.linspace(-0.053, 0.003, 15).tolist(), (0, 2, 5)),
 }
-"""Thresholds that a search may choose from, of a handover and of a lift; a lift has no active hand."""
+"""Thresholds that a search may choose from, of a handover and of a lift; a lift has no
+active hand."""
 CANDIDATES = 15  # of every sense
 CLOSINGS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of a scripted grasp
 
@@ -44,11 +46,14 @@ class Reflex:
     sense: str
     """One of SENSES."""
     threshold: float
-    """Reading of the sense from which the hand goes over, in the unit of the method of `_Senses`."""
+    """Reading of the sense from which the hand goes over, in the unit of the method of
+    `_Senses`."""
     closing: float
-    """Share of the way that the hand closes, to its scripted grasp or to the closed hand; 1: all."""
+    """Share of the way that the hand closes, to its scripted grasp or to the closed
+    hand; 1: all."""
     squeeze: int = 0
-    """Actions for which an active hand closes before it opens for as many; 0: it waits instead."""
+    """Actions for which an active hand closes before it opens for as many; 0: it waits
+    instead."""
 
     def play(
         self,
@@ -88,8 +93,8 @@ class _Senses:
     ) -> None:
         """Take an environment and its first observation.
 
-        `n_first` is the number of actions of a lift's first part, 0 in a handover, and `squeeze` as in
-        `Reflex`.
+        `n_first` is the number of actions of a lift's first part, 0 in a handover, and
+        `squeeze` as in `Reflex`.
         """
         entries = env.observation_entries
         self._joints = entries("hand_position", "finger_joints", "joint_positions")
@@ -132,8 +137,8 @@ class _Senses:
     def joints(self) -> float:
         """Return how far any joint, or the hand, has moved, relative to how its first readings varied.
 
-        In a lift, return how still the joints are instead, rad: minus the largest change since the last
-        reading.
+        In a lift, return how still the joints are instead, rad: minus the largest
+        change since the last reading.
         """
         readings = np.array(self._obs)[:, self._joints].astype(float)
         if self._lifts:
@@ -175,7 +180,8 @@ def parts(
 ) -> tuple[list[Array], list[Array]]:
     """Return the joint targets (n_actuators,) of the first and of the second part.
 
-    The object is `shift` (2,) m beside its place; at the end of a part the targets stay.
+    The object is `shift` (2,) m beside its place; at the end of a part the targets
+    stay.
     """
     opened = env.hand.start_targets()
     if env.task.giver is not None:

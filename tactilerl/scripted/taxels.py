@@ -17,7 +17,8 @@ from ..envs.state import Array
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
 MIN_SHARE = 0.5  # of the time of holds in which some taxel must fire
 GRASPS, SECONDS = 20, 3.0
-"""Number of grasps that are played, each slightly different, and seconds for which each is held."""
+"""Number of grasps that are played, each slightly different, and seconds for which each
+is held."""
 
 
 @dataclass(frozen=True)

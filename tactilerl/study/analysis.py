@@ -57,7 +57,8 @@ def within(record: Record, first: float, last: float) -> tuple[Array, Array]:
 def scores(record: Record, first: float, last: float) -> dict[str, float]:
     """Return what a finished run reached from the `first` to the `last` step.
 
-    The names are those of `grid.Score`; `test` is NaN where the run was not tested at its end.
+    The names are those of `grid.Score`; `test` is NaN where the run was not tested at
+    its end.
     """
     at, rates = within(record, first, last)
     return {

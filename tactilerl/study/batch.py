@@ -1,7 +1,8 @@
 """Train many runs of a study as one batch, on a GPU: worlds side by side, networks stacked.
 
-Taxels move nothing, so runs share their physics that differ in nothing but layout, touch, taxels'
-faults, seed and numbers of their learners. Each has its own folder, as if it had been trained alone.
+Taxels move nothing, so runs share their physics that differ in nothing but layout,
+touch, taxels' faults, seed and numbers of their learners. Each has its own folder, as
+if it had been trained alone.
 """
 
 from __future__ import annotations
@@ -167,7 +168,8 @@ class _Training:
         ended = played - {*learner.active} if n_tests else ()
         key = evaluation.task(None).key
         finals = learner.play_best(dict.fromkeys(ended, key), n_tests)
-        # A run's share of the batch's time, so that the sum over runs is what was spent.
+        # A run's share of the batch's time, so that the sum over runs is what was
+        # spent.
         shares = [each / len(singles) for each in seconds]
         latest = list[training.Row]()
         for i in played:

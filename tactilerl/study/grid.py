@@ -16,9 +16,9 @@
     algo = "ppo"
     env = "mpl"
 
-A set-up may have a `measure`, `compare` and `grid` of its own instead of the study's. A setting is one
-combination of the grid's values, without the seed and the compared flag; a group is the runs of a
-setting that share a value of the compared flag.
+A set-up may have a `measure`, `compare` and `grid` of its own instead of the study's. A
+setting is one combination of the grid's values, without the seed and the compared flag;
+a group is the runs of a setting that share a value of the compared flag.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ RESERVED_FLAGS = {SEED, "out", "workers"}
 N_TEST_EPISODES = 200  # at the end of a run, where the study does not say how many
 
 Score = Literal["area", "last", "converged", "test"]
-"""The number that a run is judged by: docs/statistics.md; test: that at its end, without noise."""
+"""The number that a run is judged by: docs/statistics.md; test: that at its end,
+without noise."""
 
 
 @dataclass(frozen=True)

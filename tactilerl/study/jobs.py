@@ -1,7 +1,8 @@
 """Train the runs of a study, each in a process of its own: a run that crashes stops no other.
 
-A job is "make this run done": it can be asked for twice, and by anybody who sees the study's folder.
-Threads here wait for the processes of their jobs, or workers of Dask's on other machines do.
+A job is "make this run done": it can be asked for twice, and by anybody who sees the
+study's folder. Threads here wait for the processes of their jobs, or workers of Dask's
+on other machines do.
 """
 
 from __future__ import annotations
@@ -125,7 +126,8 @@ def executor(
 ) -> Iterator[concurrent.futures.Executor]:
     """Start the executor that `--on` names, for runs of so many processes (`ranks`) each.
 
-    Raises InputError where it is not known or cannot be reached, or for flags that are another's.
+    Raises InputError where it is not known or cannot be reached, or for flags that are
+    another's.
     """
     if not on.startswith(DASK) and on not in ("local", "gpu"):
         raise InputError(f"--on: found {on!r}, allowed: local, gpu, dask:ADDRESS")

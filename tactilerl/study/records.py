@@ -1,12 +1,13 @@
 """The records of a study: in its folder, or in the one file that `collect` packs.
 
-study.json                what the runs are, as `Study.as_dict` has it
-runs/NAME/                the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
-runs/NAME.json            why the run failed, if it did
-runs/NAME.log .lock       what it printed; held by the `study run` that trains it
+study.json                what the runs are, as `Study.as_dict` has it runs/NAME/
+the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
+runs/NAME.json            why the run failed, if it did runs/NAME.log .lock       what
+it printed; held by the `study run` that trains it
 
-A run is done when its table is as long as was asked for. So folders of runs can be copied from one
-study to another, with rsync for example. A packed file has the JSON and CSV files of all runs.
+A run is done when its table is as long as was asked for. So folders of runs can be
+copied from one study to another, with rsync for example. A packed file has the JSON and
+CSV files of all runs.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ class Record:
     reason: str
     """The reason why it failed, or what cannot be read of it."""
     config: dict[str, Any]
-    """config.json, without the run's folder; empty where there is none that can be read."""
+    """config.json, without the run's folder; empty where there is none that can be
+    read."""
     rows: list[Row]
     """The progress table."""
 
@@ -158,7 +160,8 @@ class StudyFiles:
 
     def create(self, study: Study) -> None:
         """Make the folder, or write the study anew into one that it was run in."""
-        # Another process may be making it, too: with a hidden file, and the folder of runs first.
+        # Another process may be making it, too: with a hidden file, and the folder of
+        # runs first.
         names = {path.name for path in self.path.glob("[!.]*")} - {RUNS}
         holds = self.study().name if STUDY in names else "no study"
         if names and holds != study.name:

@@ -30,7 +30,8 @@ class EpochLog:
     ) -> None:
         """Begin where `learner` is; `events` is the folder. Ranks but the first print nothing.
 
-        Events of `earlier` rows are written anew: those of another process may lack its last ones.
+        Events of `earlier` rows are written anew: those of another process may lack its
+        last ones.
         """
         self.console = Console(
             quiet=is_quiet or comm.rank > 0,

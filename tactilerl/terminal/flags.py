@@ -70,8 +70,8 @@ def given(part: Any, args: Sequence[str]) -> dict[str, Any]:
 def peek(args: Sequence[str], *names: str) -> dict[str, str]:
     """Return the values of flags before all are known, "" for those that are not given.
 
-    Some decide which other flags there are, and their defaults. InputError where one has no
-    value.
+    Some decide which other flags there are, and their defaults. InputError where one
+    has no value.
     """
     parser = argparse.ArgumentParser(
         add_help=False, allow_abbrev=False, exit_on_error=False
