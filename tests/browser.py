@@ -10,6 +10,10 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+WAIT = """new Promise((go) => {
+    const wait = () => READY ? go() : setTimeout(wait, 50);
+    wait();
+})"""
 MIDDLE = """(() => {
     const node = document.querySelector('CSS');
     node.scrollIntoView({ block: "center", inline: "center" });
@@ -22,7 +26,7 @@ class Browser:
     """Chromium with one page, spoken to over a pipe (Chrome DevTools Protocol)."""
 
     def __init__(self, url, width, ready):
-        """Open a page; `ready` is a script whose value is waited for."""
+        """Open a page, and wait until the condition `ready` holds there."""
         read_theirs, self._write = os.pipe()
         self._read, write_theirs = os.pipe()
         flags = "--headless --no-sandbox --disable-gpu --remote-debugging-pipe"
@@ -39,7 +43,7 @@ class Browser:
         metrics = dict(width=width, height=900, deviceScaleFactor=1, mobile=width < 500)
         self("Emulation.setDeviceMetricsOverride", **metrics)
         self("Page.navigate", url=url)
-        self.run(ready)
+        self.run(WAIT.replace("READY", ready))
 
     def __call__(self, method, **params):
         number = next(self._numbers)

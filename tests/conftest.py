@@ -1,21 +1,17 @@
 """Shared by all tests: each hand and simulator, what is skipped without PyBullet, one thread each."""
 
+import importlib.util
 import os
 import signal
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from filelock import FileLock
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import HANDS
 from tactilerl.scripted import reflexes
-from tactilerl.study import jobs
-
-from tiny_study import in_this_process
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
@@ -27,16 +23,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 scripted.N_STILL = 0  # each `train` of a hand would play four episodes first; test_scenes.py does
 
 # The longest first, so that no core is idle at the end.
-LONG = [
-    "test_cli",
-    "test_design",
-    "test_batch",
-    "test_docs",
-    "test_ddpg_her",
-    "test_api",
-    "test_vector",
-]
-LONG += ["test_batch_env", "test_install", "test_study_report", "test_study_run", "test_export"]
+LONG = ["test_cli", "test_batch_env", "test_study_batch", "test_toy_learning", "test_export"]
+LONG += ["test_mpi", "test_study_report", "test_design", "test_batch", "test_study_run"]
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 
@@ -54,7 +42,7 @@ def rng():
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: [*LONG, item.path.stem].index(item.path.stem))  # the others keep theirs
-    if find_spec("pybullet") is None:
+    if importlib.util.find_spec("pybullet") is None:
         for item in filter(needs_pybullet, items):
             item.add_marker(pytest.mark.skip(reason=NO_PYBULLET))
 
@@ -75,11 +63,15 @@ def one_launch(launches):
 @pytest.fixture
 def trained_here(monkeypatch):
     """Runs of a study are trained without a process each; with `--jobs 1`: they share one output."""
+    from tiny_study import in_this_process, jobs
+
     monkeypatch.setattr(jobs, "_process", in_this_process)
 
 
 @pytest.fixture(autouse=True)
 def _one_thread():
+    import torch  # takes seconds, which the process that hands out the tests need not spend
+
     torch.set_num_threads(1)
 
 
@@ -94,6 +86,12 @@ def few_reflexes(monkeypatch):
     """`gate` and `design` choose scripted hands from three reflexes of each sense, not from fifteen."""
     candidates = reflexes.candidates
     monkeypatch.setattr(reflexes, "candidates", lambda *args: candidates(*args)[::7])
+
+
+@pytest.fixture
+def bullet():
+    """PyBullet itself, of a test that is skipped where it is not installed."""
+    return importlib.import_module("tactilerl.envs.simulators.pybullet").pybullet
 
 
 @pytest.fixture(params=["mujoco", "pybullet"])

@@ -7,6 +7,11 @@ import sys
 from tactilerl.commands.cli import main
 
 TOY = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
+# Learners that learn next to nothing, in no time; and what shortens the episodes of a hand.
+PPO = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
+HER = ["--algo", "ddpg_her", "--hidden", "8", "--batch-size", "8", "--n-cycles", "1"]
+HER += ["--n-batches", "1", "--n-rollouts", "1", "--n-test-rollouts", "1"]
+REACH = ["--task", "reach-goal", "--max-episode-steps", "6", "--workers", "1"]
 
 
 def printed(capsys, args, code=0):

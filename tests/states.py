@@ -16,6 +16,20 @@ def scene(**values):
     return State(**{**empty, "contacts": NO_CONTACTS, **values})
 
 
+def closing(env, seed, n):
+    """(observations, rewards, the last info) of at most n steps of closing the hand, by a seed."""
+    obs, info = env.reset(seed=seed)
+    rng, seen, rewards, size = np.random.default_rng(seed), [obs], [], env.action_space.shape[0]
+    for _ in range(n):
+        fingers = rng.uniform(-0.5, 1, size - 3)
+        obs, reward, terminated, truncated, info = env.step(np.concatenate([[0, 0, -0.1], fingers]))
+        seen.append(obs)
+        rewards.append(reward)
+        if terminated or truncated:
+            break
+    return seen, rewards, info
+
+
 def flat(state):
     """A state as one comparable string: every bit of every tensor."""
     if isinstance(state, dict):

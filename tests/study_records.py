@@ -13,37 +13,15 @@ from tactilerl.runs.store import FORMAT
 from tactilerl.study import grid
 from tactilerl.study.records import StudyFiles
 
-PAPER_LIKE = """
-name = "made-up"
-
-[compare]
-touch = ["on", "off"]
-
-[grid]
-layout = [1, 2, 5]
-touch = ["on", "off"]
-seed = "0-{last}"
-
-[setups.pybullet]
-algo = "ppo"
-env = "mpl"
-total_timesteps = 30_000
-hold_verdict = "settled"
-
-[setups.mujoco]
-algo = "ddpg_her"
-env = "shadow"
-measure = "test_success_rate"
-total_timesteps = 60_000
-"""
+PAPER_LIKE = (Path(__file__).parent / "studies/made_up.toml").read_text()
 LEVEL = {"layout 1": 0.7, "layout 2": 0.85, "layout 5": 0.5, "sighted": 0.95}
 
 
-def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=None):
+def make_study(path, text=PAPER_LIKE, n_seeds=4):
     """A study's folder with all runs done; main runs rise higher the better their layout."""
     text = text.replace("{last}", str(n_seeds - 1))
     path.with_suffix(".toml").write_text(text)
-    shutil.copytree(_made(text, epochs, total).name, path, dirs_exist_ok=True)
+    shutil.copytree(_made(text).name, path, dirs_exist_ok=True)
     return StudyFiles(path)
 
 
@@ -60,7 +38,7 @@ def fail(folder, run, reason="diverged"):
 
 
 @cache
-def _made(text, epochs, total):
+def _made(text):
     """A temporary folder with it: configuring the runs takes most of the time."""
     made = tempfile.TemporaryDirectory(prefix="tactilerl-tests-")
     file = Path(made.name, "study.toml")
@@ -76,12 +54,12 @@ def _made(text, epochs, total):
         run_dir.path.mkdir()
         content = {"format": FORMAT, **configs[run.name].as_dict(), "ranks": 1, "provenance": made_with}
         run_dir.config_file.write_text(json.dumps(content))
-        steps = total or configs[run.name].run.total_timesteps
-        write_progress(run_dir, run, np.random.default_rng(index), epochs, steps)
+        steps = configs[run.name].run.total_timesteps
+        write_progress(run_dir, run, np.random.default_rng(index), steps)
     return made
 
 
-def write_progress(run_dir, run, rng, epochs, total):
+def write_progress(run_dir, run, rng, total, epochs=25):
     """A curve that rises to its level, with noise."""
     level = LEVEL.get(run.setting, 0.6) if run.group in ("on", "0.95") else LEVEL.get(run.setup, 0.55)
     level += rng.normal(0, 0.05)

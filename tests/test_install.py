@@ -1,7 +1,6 @@
 """What a fresh machine gets: the CPU build of PyTorch or nothing, and a package with all its files."""
 
 import importlib
-import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tactilerl.commands.cli import main
 
 from one_line import python
 
@@ -28,17 +28,19 @@ def test_a_pytorch_that_brings_cuda_is_not_installed_unasked(monkeypatch):
 
 
 def test_make_train_trains_two_hands_side_by_side_and_fails_where_one_does(tmp_path):
-    (tmp_path / "no_touch").mkdir()
-    (tmp_path / "no_touch" / "thesis.tex").write_text("")
-    short = "--scene handover --total-timesteps 1 --steps-per-epoch 1 --hidden 8 --n-passes 1"
+    """In place of the command is one that notes what it is asked, and fails without touch."""
+    noting = tmp_path / "tactilerl"
+    noting.write_text(f'#!/bin/sh\necho "$*" >> {tmp_path}/asked\necho heard\ntest "$5" = on\n')
+    noting.chmod(0o755)
     (tmp_path / "installed").touch()
-    variables = f"BIN={Path(sys.executable).parent}", f"TRAINING={tmp_path}/installed"
-    variables += f"RUNS={tmp_path}", f"TRAIN={short}"
+    variables = f"BIN={tmp_path}", f"TRAINING={tmp_path}/installed", f"RUNS={tmp_path}"
     made = subprocess.run(["make", "train", *variables], cwd=ROOT, capture_output=True, text=True)
     assert made.returncode == 2
-    assert "no_touch' exists but is not a run folder" in made.stderr
-    assert re.search(r"^touch +The run is in ", made.stdout, re.MULTILINE)
+    assert {"touch     heard", "no_touch  heard"} <= {*made.stdout.splitlines()}
     assert "This films" not in made.stdout
+    _, asked = sorted((tmp_path / "asked").read_text().splitlines())
+    short = "--total-timesteps 1 --steps-per-epoch 1 --hidden 8 --n-passes 1"
+    assert main(f"{asked} {short}".split()) == 0
     assert (tmp_path / "touch/checkpoint.pt").is_file()
 
 

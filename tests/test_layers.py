@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,12 +27,19 @@ ALLOWED = {
 }
 
 
+@cache
+def nodes(path):
+    """All imports in a file, at any depth of it."""
+    walked = ast.walk(ast.parse(path.read_text()))
+    return [node for node in walked if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imports(path):
-    """(level, module) of every import in a file, at any depth of it."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    """(level, module) of every import in a file."""
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from ((0, alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
+        else:
             yield node.level, node.module or ""
 
 
@@ -55,7 +63,7 @@ def modules_of(package):
 
 
 def _imported(path, named):
-    for node in ast.walk(ast.parse((ROOT / path).read_text())):
+    for node in nodes(ROOT / path):
         if isinstance(node, ast.ImportFrom) and node.level:
             base = ".".join([*path.parts[: -node.level], *filter(None, [node.module])])
             for alias in node.names:

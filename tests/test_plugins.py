@@ -1,16 +1,14 @@
-"""What modules add: tasks, touch rules and hands, by --import; and by one registration, simulators,
-sensor stages and learners."""
+"""What modules add: tasks, touch rules, hands and learners, by --import; and by one registration,
+simulators and sensor stages."""
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tactilerl
 from tactilerl import algos
-from tactilerl.algos.ppo import PPO, PPOConfig  # noqa: F401  (what `brave` learns with)
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, observations, plugins, simulators, tasks, touch
 from tactilerl.envs.simulators.mujoco import MujocoSimulator
@@ -24,14 +22,13 @@ PACKAGE = """
 from pathlib import Path
 from tactilerl.envs import hands, tasks, touch
 
-class Easy(tasks.ReachGoal):
-    pass
-
 class Numb(touch.ContactRule):
     def read(self, state):
         return super().read(state) & False
 
 class Vague(tasks.ReachGoal):
+    rewards = (*tasks.ReachGoal.rewards, "far")
+
     def compute_reward(self, achieved, desired):
         return "much"
 
@@ -41,14 +38,11 @@ class Half(tasks.Task):
     def reset(self, state, rng):
         return state.object_position, state.object_position
 
-class Own(tasks.ReachGoal):
-    rewards = ("near", "far")
-
 class Broken(tasks.ReachGoal):
     def after_step(self, state, is_last):
         return {}["nothing"]
 
-tasks.TASKS |= {"easy": Easy, "half": Half, "own": Own, "broken": Broken, "vague": Vague}
+tasks.TASKS |= {"half": Half, "broken": Broken, "vague": Vague}
 touch.RULES["numb"] = Numb
 hands.OTHERS["claw"] = Path(__file__).with_name("claw.toml")
 """
@@ -75,24 +69,22 @@ def theirs(tmp_path):
 
 
 def test_a_module_adds_a_task_a_touch_rule_and_a_hand(theirs, capsys):
-    own = [*theirs, "--env", "claw", "--task", "easy", "--touch-rule", "numb", "--json"]
+    own = [*theirs, "--env", "claw", "--task", "vague", "--touch-rule", "numb", "--json"]
     assert json.loads(printed(capsys, own))["taxels"] > 0
-    env = tactilerl.make("claw", task="easy", touch_rule="numb")
-    assert type(env.task).__name__ == "Easy"
-    env.close()
 
 
 def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
     fails_with(capsys, [*theirs, "--task", "half"], "lacks after_step, compute_reward")
-    fails_with(capsys, [*theirs, "--task", "own", "--reward", "x"], "allowed: near, far")
+    fails_with(capsys, [*theirs, "--task", "vague", "--reward", "x"], "allowed: ", ", far")
     train = ["train", *theirs[1:], "--algo", "ddpg_her", "--n-test-rollouts", "1", "--task"]
     vague = "task vague: compute_reward: found 'much', allowed numbers of shape ()"
     fails_with(capsys, [*train, "vague"], vague)
     assert main([*train, "broken"]) == 1
     assert 'return {}["nothing"]' in capsys.readouterr().err
-    fails_with(capsys, [*theirs, "--task", "esay"], "allowed: lift-and-hold", "easy")
+    fails_with(capsys, [*theirs, "--task", "esay"], "allowed: lift-and-hold", "vague")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_reflexes")
 def test_the_cup_of_the_example_is_held_by_touch(capsys):
     found = printed(capsys, ["gate", *CUP, "--starts", "4", "--search", "1", "--json"])
@@ -134,45 +126,29 @@ class Inverted:
         return 1.0 - reading
 
 
-@dataclass(frozen=True)
-class BraveConfig(PPOConfig):
-    """PPO's, and one of its own."""
-
-    courage: float = 2.0
-    """How much more it explores."""
-
-
 def test_a_learner_of_ones_own_learns_and_resumes_exactly(monkeypatch, capsys):
     monkeypatch.delitem(algos.ALGORITHMS, "cem", raising=False)
     imported, few = ["--import", "own_learner"], ["--population", "20", "--n-elite", "4"]
     args = ["train", *imported, "--algo", "cem", "--env", "lqr", *few, "--workers", "1"]
-    assert main([*args, "--total-timesteps", "12_000", "--out", "whole"]) == 0
-    assert main([*args, "--total-timesteps", "6_000", "--out", "cut"]) == 0
-    resume = ["train", *imported, "--resume", "cut", "--total-timesteps", "12_000"]
-    assert main(resume) == 0
+    assert main([*args, "--total-timesteps", "7_000", "--out", "whole"]) == 0
+    assert main([*args, "--total-timesteps", "4_000", "--out", "cut"]) == 0
+    assert main(["train", *imported, "--resume", "cut", "--total-timesteps", "7_000"]) == 0
     whole, cut = (
         json.loads(printed(capsys, ["evaluate", *imported, run, "--episodes", "20", "--json"]))
         for run in ("whole", "cut")
     )
-    assert whole["mean_return"] == cut["mean_return"] > -10.0  # a first epoch: -89
+    assert whole["mean_return"] == cut["mean_return"] > -40.0  # a first epoch: -89
 
 
-def test_a_simulator_a_sensor_stage_and_a_learner_of_somebody_else_work_in_every_command(
-    monkeypatch, capsys
-):
-    brave = algos.LearnerSpec("BraveConfig", "PPO", 500, "reach-goal", module=__name__)
+def test_a_simulator_and_a_sensor_stage_of_somebody_else_work_in_every_command(monkeypatch, capsys):
     monkeypatch.setitem(simulators.SIMULATORS, "saturn", f"{__name__}:Saturn")
-    monkeypatch.setitem(algos.ALGORITHMS, "brave", brave)
     stages = [*observations.STAGES, lambda config, n: Inverted()]
     monkeypatch.setattr(observations, "STAGES", stages)
-    few = ["--hidden", "8", "--steps-per-epoch", "8", "--n-passes", "1", "--workers", "1"]
-    scene = ["--simulator", "saturn", "--max-episode-steps", "4", "--layout", "5"]
-    args = ["train", "--algo", "brave", "--courage", "3", *scene, *few, "--total-timesteps", "8"]
-    assert main([*args, "--out", "run"]) == 0
-    saved = json.loads(Path("run/config.json").read_text())
-    assert saved["learner"]["courage"] == 3.0
-    assert saved["scene"]["simulator"] == "saturn"
-    assert main(["train", "--resume", "run", "--total-timesteps", "16"]) == 0
+    scene = ["--simulator", "saturn", "--task", "reach-goal", "--max-episode-steps", "4"]
+    scene += ["--layout", "5", "--workers", "1"]
+    assert main(["train", "--algo", "ppo", *scene, *TINY, "--out", "run"]) == 0
+    assert json.loads(Path("run/config.json").read_text())["scene"]["simulator"] == "saturn"
+    assert main(["train", "--resume", "run", "--total-timesteps", "128"]) == 0
     assert main(["evaluate", "run", "--episodes", "2", "--workers", "1"]) == 0
     env = tactilerl.make("shadow", simulator="saturn", task="reach-goal", layout=5)
     obs, _ = env.reset(seed=0)

@@ -1,50 +1,13 @@
-"""A study of two short runs, for tests of who runs it, and one of two set-ups, for tests of files."""
+"""A study of two short runs, trained without a process for each."""
 
 from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
 
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, jobs, records, report
 
-TINY = """
-name = "tiny"
-measure = "test_success_rate"
-[compare]
-polyak = [0.95, 0.9]
-[grid]
-polyak = [0.9, 0.95]
-seed = 0
-[setups.reach]
-algo = "ddpg_her"
-recipe = "paper"  # of which a run that goes on hears again
-env = "point-reach"
-hidden = [8]
-batch_size = 16
-n_cycles = 1
-n_batches = 2
-n_test_rollouts = 1
-n_test_episodes = 3
-total_timesteps = 200
-"""
-GOOD = """
-name = "toy"
-[compare]
-polyak = [0.95, 0.9]
-[grid]
-batch_size = [16, 32]
-polyak = [0.9, 0.95]
-seed = "0-1, 7"
-[setups.reach]
-algo = "ddpg_her"
-env = "point-reach"
-measure = "test_success_rate"
-[setups.ppo]
-env = "lqr"
-anneal_lr = true
-hidden = [16, 16]
-compare = {n_passes = [4, 2]}
-grid = {n_passes = [2, 4], seed = 3}
-"""
+TINY = (Path(__file__).parent / "studies/tiny.toml").read_text()
 
 
 def write(tmp_path, text=TINY):

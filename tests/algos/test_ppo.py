@@ -132,9 +132,7 @@ class TestBatch:
             ("bootstrap", False, False, 1.0),
         ],
     )
-    def test_a_value_follows_the_last_step_unless_it_is_an_end(
-        self, truncation, terminated, diverges, goes_on
-    ):
+    def test_a_value_follows_what_is_no_end(self, truncation, terminated, diverges, goes_on):
         info = {"diverged": True} if diverges else {}
         choices = dict(length=3, terminated=terminated, reward=lambda rng: 1.0)
         workers = scripted(**choices, info=lambda step: info if step == 3 else {})
@@ -216,9 +214,8 @@ class TestLearning:
             for adam in adams:
                 adam.zero_grad()
             (loss + value_loss).backward()
-            for adam, parts in zip(
-                adams, ([*actor.parameters(), log_std], critic.parameters()), strict=True
-            ):
+            parts_of = [*actor.parameters(), log_std], critic.parameters()
+            for adam, parts in zip(adams, parts_of, strict=True):
                 assert torch.nn.utils.clip_grad_norm_(parts, 0.05) > 0.05
                 adam.step()
         ppo.update()

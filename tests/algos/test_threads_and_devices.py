@@ -13,11 +13,17 @@ from tactilerl.envs import vector
 
 from states import flat
 
+HER = DDPGHERConfig(hidden=(32, 32), n_batches=20, batch_size=32, buffer_size=1000)
+SMALL = {
+    PPO: (PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05), "lqr"),
+    DDPGHER: (HER, "point-reach"),
+}
 
-def learner(two_threads, algorithm=PPO, config=None, env="lqr"):
+
+def learner(two_threads, kind=PPO, device="cpu"):
+    config, env = SMALL[kind]
     workers = vector.start(lambda: envs.make(env))
-    config = config or PPOConfig(hidden=(8,))
-    return algorithm(config, workers, Communicator(), 0, 1000, cores=1 + two_threads)
+    return kind(config, workers, Communicator(), 0, 1000, device, cores=1 + two_threads)
 
 
 def test_both_run_at_the_same_time_only_where_there_are_two_cores():
@@ -29,29 +35,20 @@ def test_both_run_at_the_same_time_only_where_there_are_two_cores():
 
 
 @pytest.mark.parametrize("together", [False, True])
-@pytest.mark.parametrize("failing", ["first", "second"])
-def test_an_error_of_either_comes_out(together, failing):
+def test_an_error_of_either_comes_out(together):
     def fail():
-        raise FloatingPointError(failing)
+        raise FloatingPointError("of one")
 
-    jobs = (fail, lambda: 1) if failing == "first" else (lambda: 1, fail)
-    with pytest.raises(FloatingPointError, match=failing):
-        learner(together).in_two_threads(*jobs)
-
-
-PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)
-HER_SMALL = DDPGHERConfig(hidden=(32, 32), n_batches=20, batch_size=32, buffer_size=1000)
-BOTH = pytest.mark.parametrize(
-    ("algorithm", "config", "env"), [(PPO, PPO_SMALL, "lqr"), (DDPGHER, HER_SMALL, "point-reach")]
-)
+    for jobs in ((fail, int), (int, fail)):
+        with pytest.raises(FloatingPointError, match="of one"):
+            learner(together).in_two_threads(*jobs)
 
 
-@BOTH
-def test_the_same_bits(algorithm, config, env):
+@pytest.mark.parametrize("kind", SMALL)
+def test_the_same_bits(kind):
     results = []
     for together in (False, True):
-        one = learner(together, algorithm, config, env)
-        losses = []
+        one, losses = learner(together, kind), []
         for _ in range(3):
             one.collect()
             losses.append(one.update())
@@ -59,17 +56,12 @@ def test_the_same_bits(algorithm, config, env):
     assert results[0] == results[1]
 
 
-DEVICES = [
-    "meta",
-    pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
-]
+NO_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("device", ["meta", pytest.param("cuda", marks=NO_GPU)])
 def test_a_learner_is_on_its_device_with_all_of_its_networks(device):
-    one = DDPGHER(
-        HER_SMALL, vector.start(lambda: envs.make("point-reach")), Communicator(), 0, 100, device
-    )
+    one = learner(False, DDPGHER, device)
     for network in (one.actor, one.critic, one.target_actor, one.target_critic):
         assert {p.device.type for p in network.parameters()} == {device}
     if device == "cuda":

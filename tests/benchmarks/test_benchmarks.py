@@ -12,16 +12,13 @@ from tactilerl.study.records import Record
 
 
 @pytest.mark.pybullet
-def test_bullet_with_other_settings():
+def test_simulators_with_other_settings():
     engine = importlib.import_module("tactilerl.envs.simulators.pybullet").ENGINE
     setting = Setting(options={"contactERP": 0.4}, added_inertia=0.5)
     with environment("mpl", "pybullet", 0.05, setting) as env:
         assert env.hand.file.added_inertia == 0.5
         assert engine["contactERP"] == 0.4
     assert engine.get("contactERP") != 0.4
-
-
-def test_mujoco_with_other_settings():
     with environment("mpl", "mujoco", 0.05, Setting(timestep=2, options={"iterations": 7})) as env:
         assert env.simulator.model.opt.iterations == 7
 

@@ -5,8 +5,6 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-
-pytest.importorskip("pandas")
 from benchmarks.studies import layouts_study as study
 
 LAYOUTS = [*(f"layout {i}" for i in range(1, 7)), "4 chosen", "8 chosen"]
@@ -28,11 +26,6 @@ def made_up(monkeypatch, rng):
         monkeypatch.setattr(study, "runs", lambda name: pd.DataFrame(cells))
 
     return make
-
-
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
 
 
 def test_pairs_differ_where_they_do(made_up):

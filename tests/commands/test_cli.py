@@ -1,26 +1,19 @@
-"""The command: what it prints, what it refuses, and that a killed run goes on bit for bit."""
+"""The command: what it prints, what it refuses, and that a run goes on bit for bit."""
 
 import csv
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
-from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-import tactilerl
 import torch
 from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import plugins
-from tactilerl.runs import evaluation, policies, store
+from tactilerl.runs import evaluation
 
 from one_line import fails_with, printed, python
 from states import TIMES, flat
@@ -114,24 +107,15 @@ class TestTrain:
         assert 0 <= float(progress(run)[0]["test_success_rate"]) <= 1
         assert main(["evaluate", str(run), "--episodes", "2"]) == 0
 
-    def test_tensorboard(self):
-        pytest.importorskip("tensorboard")
-        main([*TOY, "--total-timesteps", "1", "--out", "run", "--tensorboard"])
-        main(["train", "--resume", "run", "--total-timesteps", "121", "--tensorboard"])
+    def test_tensorboard_shows_every_epoch_once_also_those_before_it_was_asked_for(self):
         module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        for steps in ("121", "241"):
+            main(["train", "--resume", "run", "--total-timesteps", steps, "--tensorboard"])
         read = module.EventAccumulator("run").Reload()
         steps = [event.step for event in read.Scalars("train/mean_return")]
-        assert steps == [int(row["env_steps"]) for row in progress(Path("run"))]
-        assert len(steps) == 2
+        assert steps == [int(row["env_steps"]) for row in progress(Path("run"))] == [120, 240, 360]
         assert "train/success_rate" not in read.Tags()["scalars"]  # the toy has none
-
-    def test_tensorboard_shows_the_epochs_before_it_was_asked_for(self):
-        pytest.importorskip("tensorboard")
-        main([*TOY, "--total-timesteps", "1", "--out", "run"])
-        main(["train", "--resume", "run", "--total-timesteps", "121", "--tensorboard"])
-        module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-        events = module.EventAccumulator("run").Reload().Scalars("train/mean_return")
-        assert [event.step for event in events] == [int(r["env_steps"]) for r in progress(Path("run"))]
 
 
 class TestResume:
@@ -145,27 +129,6 @@ class TestResume:
         assert same_checkpoint(Path("whole"), Path("parts"))
         main([*toy, "--total-timesteps", "600", "--out", "other", "--seed", "1"])
         assert progress(Path("other")) != progress(Path("whole"))
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
-    def test_killed_run_equals_the_uninterrupted_one(self, algo):
-        """kill -9 after a checkpoint, with a hand."""
-        args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER
-        args = [*args, "--env", "mpl", "--simulator", "mujoco", "--layout", "6"]
-        args += ["--max-episode-steps", "20"]
-        args += ["--total-timesteps", "240", "--recipe", "robust"]
-        main([*args, "--out", "whole"])
-        command = [sys.executable, "-m", "tactilerl", *args, "--out", "killed"]
-        env = os.environ | {"OMP_NUM_THREADS": "1"}
-        process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
-        started = time.time()
-        while not Path("killed/checkpoint.pt").exists() and time.time() - started < 300:
-            time.sleep(0.005)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        assert main(["train", "--resume", "killed"]) == 0
-        assert progress(Path("whole")) == progress(Path("killed"))
-        assert same_checkpoint(Path("whole"), Path("killed"))
 
     def test_experience_is_rewritten_when_its_parts_outgrow_the_memory(self):
         """A replay of eight episodes: its parts become one when they hold more than sixteen."""
@@ -191,15 +154,6 @@ class TestResume:
         assert main(["train", "--resume", "cut"]) == 0
         assert progress(Path("whole")) == progress(Path("cut"))
         assert same_checkpoint(Path("whole"), Path("cut"))
-
-    def test_a_table_that_ends_before_the_checkpoint_is_refused_and_stays(self, capsys):
-        main([*TOY, "--total-timesteps", "240", "--out", "run"])
-        table = Path("run/progress.csv")
-        *rest, _ = table.read_text().splitlines(keepends=True)
-        table.write_text("".join(rest))
-        more = ["train", "--resume", "run", "--total-timesteps", "360"]
-        fails_with(capsys, more, "found epochs up to 1, the checkpoint's is 2")
-        assert table.read_text() == "".join(rest)
 
     def test_length_counts_where_something_is_annealed(self, capsys):
         run = [*TOY, "--anneal-lr", "--total-timesteps", "1", "--out", "run"]
@@ -243,7 +197,6 @@ class TestBadInput:
             (["train", "--algo", "sac"], ["algo: found 'sac'", "allowed: ppo, ddpg_her"]),
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
             ([*REACH, "--buffer-size", "9" * 13], ["Unable to allocate", "TiB"]),
-            (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "allowed [1, 1e15]"]),
             (["train", "--gama", "0.9"], ["Unrecognized options: --gama", "--gamma FLOAT"]),
             (["train", "--touch", "x"], ["invalid choice 'x'", "'on', 'off', 'absent'"]),
@@ -251,15 +204,12 @@ class TestBadInput:
             (["evaluate"], ["PATH", "tactilerl evaluate --help"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
-            (["evaluate", "nowhere", "--episodes", "0"], ["episodes: found 0"]),
             (["render", "none", "--video", "x.gif"], ["found 'x.gif' as a new file", ".mp4"]),
             (["render", "--out", "no/x.png"], ["found no folder 'no'"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
             (["render", "none", "--pose", "start"], ["pose: allowed only without a run folder"]),
             (["render", "--episode", "1"], ["episode: allowed only with a run folder"]),
-            (["render", "--azimuth", "nan"], ["azimuth: found nan, allowed [-360, 360]"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),
-            (["env", "--env", "lqr"], ["env: found 'lqr', allowed: shadow, mpl, allegro"]),
             (["train", "--scen", "handover"], ["--scene STR"]),
             (["train", "--env", "shadwo"], ["did you mean shadow?"]),
             (["train", "--env", "../x:Id"], ["found '../x', which cannot be imported"]),
@@ -269,13 +219,6 @@ class TestBadInput:
     def test_one_clear_line(self, capsys, args, words):
         fails_with(capsys, args, *words)
         assert not list(Path().iterdir())
-
-    def test_a_way_to_draw_that_is_not_here(self):
-        pytest.importorskip("imageio.v2")
-        done = python("-m", "tactilerl", "render", "--layout", "1", MUJOCO_GL="glfw")
-        assert done.returncode == 2
-        assert done.stderr.startswith("tactilerl: error: MuJoCo cannot draw here; without a display")
-        assert done.stderr.count("\n") == 1
 
     def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):
         """One line of ours, and below it what the person's own code raised."""
@@ -299,18 +242,6 @@ class TestBadInput:
         Path("run").mkdir()
         Path("run/.lock").touch()
         assert main([*TOY, "--total-timesteps", "1", "--out", "run"]) == 0
-
-    def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
-        main([*TOY, "--total-timesteps", "1", "--out", "run"])
-        data = torch.load("run/checkpoint.pt", weights_only=True)
-        data["ranks"][0]["critic"]["0.weight"][0, 0] = float("nan")
-        store.write_tensors(Path("run/checkpoint.pt"), data)
-        before = Path("run/checkpoint.pt").read_bytes()
-        assert main(["train", "--resume", "run", "--total-timesteps", "600"]) == 1
-        err = capsys.readouterr().err
-        assert err.startswith("tactilerl: stopped: ")
-        assert "not finite" in err
-        assert Path("run/checkpoint.pt").read_bytes() == before
 
 
 class TestOtherCommands:
@@ -342,7 +273,7 @@ class TestOtherCommands:
 
     def test_render_draws_the_hand_and_its_taxels(self, capsys):
         imageio = pytest.importorskip("imageio.v2")
-        out = render(capsys, "--layout", "1", "--out", "x.png")
+        out = render(capsys, "--scene", "handover", "--layout", "1", "--out", "x.png")
         picture = imageio.imread("x.png")
         picture, taxel_map = np.split(picture, [720], axis=1)
         assert picture.shape == (540, 720, 3)
@@ -350,8 +281,7 @@ class TestOtherCommands:
         red, _, blue = np.moveaxis(picture.astype(int), -1, 0)
         assert ((blue > 100) & (red < 60)).sum() > 20  # taxels that are off
         assert "taxels fire" in out
-        out = render(capsys, "--scene", "handover", "--out", "y.png")
-        assert not out.startswith("y.png: 0 taxels")  # the object is in the hand
+        assert not out.startswith("x.png: 0 taxels")  # the object is in the hand
 
     @pytest.mark.slow
     def test_a_film_shows_runs_side_by_side_from_the_same_starts_with_the_score(self, capsys):
@@ -374,26 +304,6 @@ class TestOtherCommands:
         out = render(capsys, "a", *near[:2], "--episode", "7", "--video", "y.mp4")
         assert out == "y.mp4: no success\n"
 
-    @pytest.mark.slow
-    def test_each_episode_of_an_evaluation_can_be_played_again_and_filmed(self, capsys):
-        run, n = str(POLICIES / "handover_no_touch"), 6
-        told = json.loads(printed(capsys, ["evaluate", run, "--episodes", n, "--json"]))
-        each = told["each"]
-        assert [row["episode"] for row in each] == list(range(n))
-        assert np.mean([row["return"] for row in each]) == pytest.approx(told["mean_return"])
-        trained = policies.read_run(Path(run))
-        task = evaluation.task(trained.policy)
-        with closing(trained.config.make_env()) as env:
-            assert {row["success"] for row in each} == {0.0, 1.0}
-            played = [task(env, row["episode"], lambda: True).success for row in each]  # as films do
-            assert played == [row["success"] for row in each]
-            policy, row = tactilerl.load_policy(run), each[0]
-            (obs, _), returned, is_over = env.reset(seed=row["seed"]), 0.0, False
-            while not is_over:
-                obs, reward, terminated, truncated, _ = env.step(policy.act(obs))
-                returned, is_over = returned + reward, terminated or truncated
-        assert returned == pytest.approx(row["return"])
-
     @pytest.mark.parametrize("command", [*COMMANDS, *(f"study {part}" for part in PARTS)])
     def test_every_command_has_help(self, command, capsys):
         assert f"usage: tactilerl {command}" in printed(capsys, [*command.split(), "--help"])
@@ -405,7 +315,10 @@ class TestOtherCommands:
         assert "{on,off,absent}" in out
 
     def test_installed_command_starts_fast_enough_to_be_pleasant(self):
-        """No simulator and no PyTorch for the list of commands."""
+        """No simulator for the list of commands, and no PyTorch for what is asked before training."""
         code = "import sys; from tactilerl.commands import cli; cli.main(['--help'])"
         code += "; assert not {'torch', 'mujoco', 'gymnasium', 'scipy'} & set(sys.modules)"
-        assert python("-c", code).returncode == 0
+        code += "; from tactilerl.commands import design, env, gate, hand"
+        code += "; assert 'torch' not in sys.modules"
+        done = python("-c", code)
+        assert done.returncode == 0, done.stderr

@@ -7,6 +7,7 @@ import string
 from pathlib import Path
 
 import pytest
+from tactilerl import envs
 from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands.cli import main
 from tactilerl.envs import validation
@@ -20,27 +21,7 @@ FLAGS = {"recipe", "resume", "out", "layout", "task", "object_size", "timestep"}
 FLAGS = sorted(validation.names(RunOptions) | validation.names(PPOConfig) | FLAGS)
 WORDS = ["", "-1", "0", "1", "0.5", "nan", "-inf", "1e400", "9" * 400, "9" * 5000, "x", "None", "[]"]
 WORDS += ["..x:Id", "no.module:Id", ":", "é", "\udcff", "x" * 5000, "../..", "true", "0x10", "meta"]
-LAYOUT = """description = "mine"
-partial = true
-[[patch]]
-digits = ["thumb", "index"]
-segments = ["distal", "palm"]
-offsets_mm = [[0, 0], [2.5, -1]]
-radius_mm = 2.5
-"""
-SCENE = """about = "mine"
-base = "handover"
-env = "mpl"
-[scene]
-layout = "5"
-object_size = "0.04..0.05"
-touch = "off"
-[train]
-recipe = "steady"
-hidden = [16, 16]
-total_timesteps = 2_000
-"""
-HAND = Path(__file__).parents[1] / "hands"
+ENVS, HANDS = Path(envs.__file__).parent, Path(__file__).parents[1] / "hands"
 
 
 @pytest.fixture(params=["a few", pytest.param("all", marks=pytest.mark.slow)])
@@ -91,21 +72,22 @@ def test_flags(tried, cases):
 
 
 @pytest.mark.parametrize(
-    ("file", "args", "good", "n"),
+    ("file", "args", "source", "n"),
     [
-        ("mine.toml", ["env", "--layout", "mine.toml"], LAYOUT, 150),
-        ("mine.toml", ["env", "--scene", "mine.toml"], SCENE, 150),
-        ("gripper.toml", ["env", "--env", "gripper.toml"], (HAND / "gripper.toml").read_text(), 400),
+        ("mine.toml", ["env", "--layout", "mine.toml"], ENVS / "layout_files/zhang.toml", 150),
+        ("mine.toml", ["env", "--scene", "mine.toml"], ENVS / "scenes/handover_anywhere.toml", 200),
+        ("gripper.toml", ["env", "--env", "gripper.toml"], HANDS / "gripper.toml", 400),
         ("run/config.json", ["evaluate", "run", "--episodes", "1"], None, 250),
     ],
 )
-def test_files(tried, cases, file, args, good, n):
+def test_files(tried, cases, file, args, source, n):
     rng, path = random.Random(1), Path(file)
-    shutil.copy(HAND / "gripper.xml", ".")
-    if good is None:
+    shutil.copy(HANDS / "gripper.xml", ".")
+    if source is None:
         assert main([*TRAIN, "--out", "run"]) == 0
-        good = path.read_text()
-    path.write_text(good, encoding="utf-8")
+    else:
+        shutil.copy(source, path)
+    good = path.read_text(encoding="utf-8")
     assert tried(args, good) == 0
     for _ in cases(n):
         bad = mutated(good, rng)

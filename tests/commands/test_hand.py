@@ -11,7 +11,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.scripted import grasp_search
 
-from one_line import fails_with, printed
+from one_line import PPO, fails_with, printed
 
 sys.path.append(str(Path(__file__).parents[1] / "envs"))
 from test_published_hands import FINGERS, MODEL, TIP, urdf
@@ -56,33 +56,27 @@ def turned_about(model, old, new, more=""):
     return model.replace(old, new, 1).replace("</mujoco>", f"{more}</mujoco>")
 
 
-WRISTS = "".join(
-    f'<body name="w{k}"><joint name="w{k}" range="-1 1"/><geom size="0.01"/>' for k in range(3)
-)
+WRIST = '<body name="w{k}"><joint name="w{k}" range="-1 1"/><geom size="0.01"/>'
+WRISTS = "".join(WRIST.format(k=k) for k in range(3))
 BOX = '<geom type="box"\nsize="0.045 0.04 0.012"/>'
 HALVES = f'<body name="half">{BOX}{FINGER.format(n="lf", y=0.05, tip=TIP)}<body name="hand">{BOX}'
 TWO_PARTS = turned_about(PERSON, f'<body name="hand">{BOX}', WRISTS + HALVES).replace(
     "</worldbody>", "</body>" * 4 + "</worldbody>"
 )
 EXCLUDED = '<contact><exclude body1="hand" body2="ff_1"/></contact>'
-FIXED = turned_about(
-    PERSON, '<body name="hand">', f'<body name="base">{BOX}<body name="hand">', EXCLUDED
-)
+BASE = f'<body name="base">{BOX}<body name="hand">'
+FIXED = turned_about(PERSON, '<body name="hand">', BASE, EXCLUDED)
 FIXED = FIXED.replace("</worldbody>", "</body></worldbody>")
 OTHERS = PERSON.replace("mf_", "medium_"), PERSON.replace("rf_", "\U0001f590_")
 
 
-@pytest.mark.parametrize(
-    ("model", "palm", "ring"),
-    [(TWO_PARTS, "hand", "rf_1"), (FIXED, "hand", "rf_1"), (OTHERS[0], "hand", "rf_1"),
-     (OTHERS[1], "hand", "\U0001f590_1")],
-)  # fmt: skip
-def test_digits_keep_their_names(model, palm, ring):
+@pytest.mark.parametrize("model", [TWO_PARTS, FIXED, *OTHERS])
+def test_digits_keep_their_names(model):
     """Whatever the palm is made of, and however one of them is called."""
     about = guessed(model)
-    assert about["palm"] == palm
+    assert about["palm"] == "hand"
     assert {"index", "middle", "ring", "thumb"} <= about["digits"].keys()
-    assert about["digits"]["ring"]["links"][0] == ring
+    assert about["digits"]["ring"]["links"][0] == ("\U0001f590_1" if model is OTHERS[1] else "rf_1")
     assert about["palmar"] == [0, 0, -1]
     assert about["fingers"] == [1, 0, 0]
     assert ("little" in about["digits"]) == (model is TWO_PARTS)
@@ -109,9 +103,7 @@ def test_a_palm_that_folds_keeps_its_thumb():
 
 
 def test_of_two_hands_the_first_is_taken():
-    other = turned_about(PERSON, "hand", "other")[
-        len('<mujoco><compiler angle="radian"/><worldbody>') :
-    ]
+    *_, other = turned_about(PERSON, "hand", "other").partition("<worldbody>")
     other = other.replace('name="', 'name="b').replace("</worldbody></mujoco>", "")
     both = PERSON.replace("</worldbody>", f"{other}</worldbody>")
     about = guessed(both)
@@ -202,9 +194,8 @@ def test_from_model_to_training(monkeypatch, capsys):
     assert "thumb = { links = [" in said
     assert "next: tactilerl design --env new/mine.toml --sensor fsr" in said
     assert len(hands.get("new/mine.toml").grasps) == 1
-    flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
-    flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]
-    assert main(["train", "--algo", "ppo", "--env", "new/mine.toml", *flags]) == 0
+    flags = ["--total-timesteps", "20", "--max-episode-steps", "5", "--hold-seconds", "0.1"]
+    assert main(["train", *PPO, "--env", "new/mine.toml", "--layout", "5", *flags, "--out", "run"]) == 0
 
 
 def test_a_guess_that_is_refused_is_printed(monkeypatch, capsys):

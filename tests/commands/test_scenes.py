@@ -1,19 +1,19 @@
-"""Named scenes: files of choices, usable wherever a hand is named; and the flags of harder ones."""
+"""Named scenes: files of choices, usable wherever a hand is named; flags of harder and wrong ones."""
 
 import json
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
+from tactilerl import envs
 from tactilerl.commands.cli import main
 from tactilerl.envs import scenes, scripted
 from tactilerl.envs.hands import HANDS, get
 from tactilerl.runs.config import configure, defaults
 
-from one_line import fails_with, printed
+from one_line import HER, PPO, REACH, fails_with, printed
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
-SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1", "--workers", "1"]
 
 
 @pytest.mark.parametrize("name", scenes.names())
@@ -30,14 +30,10 @@ def test_a_scene_says_who_learns_there_and_is_registered_listed_and_described(na
 
 
 def test_flags_change_what_a_scene_says():
-    args = ["train", "--scene", "handover", "--layout", "1", "--touch", "off", *SHORT]
-    assert main([*args, "--out", "run"]) == 0
-    saved = json.loads(Path("run/config.json").read_text())
-    assert saved["run"]["algo"] == "ppo"
-    assert saved["run"]["env"] == "mpl"
-    scene = saved["scene"]
-    assert (scene["task"], scene["layout"], scene["touch"]) == ("handover", "1", "off")
-    assert saved["learner"]["orthogonal_init"] is True  # of the recipe
+    config = configure({"scene": "handover", "layout": "1", "touch": "off"})
+    assert (config.run.algo, config.run.env) == ("ppo", "mpl")
+    assert (config.scene.task, config.scene.layout, config.scene.touch) == ("handover", "1", "off")
+    assert config.learner.orthogonal_init is True  # of the recipe
 
 
 class TestOtherLearner:
@@ -71,8 +67,7 @@ class TestOwnFile:
         assert mine.scene == {**base.scene, "layout": 6}
         assert mine.train == {**base.train, "total_timesteps": 70}
         assert (mine.env, mine.about) == (base.env, "Mine.")
-        assert main(["train", "--scene", "mine.toml", *SHORT, "--out", "run"]) == 0
-        assert json.loads(Path("run/config.json").read_text())["scene"]["layout"] == "6"
+        assert configure({"scene": "mine.toml"}).scene.layout == "6"
 
     @pytest.mark.parametrize(
         ("text", "named"),
@@ -84,7 +79,6 @@ class TestOwnFile:
             ('env = "foot"', "found 'foot'"),
             ('base = "mine.toml"', "base: found 'mine.toml', allowed: dark_mpl"),
             ("[scene]\ncolour = 3", "colour"),
-            ("[scene]\nlayout = 99", "layout"),
             ("[train]\ncolour = 3", "colour"),
             ("[scene]\nhistory = 2.5", "history: found 2.5"),
             ('[train]\nalgo = "magic"', "magic"),
@@ -94,7 +88,7 @@ class TestOwnFile:
     )
     def test_what_is_wrong_is_one_line(self, text, named, capsys):
         Path("mine.toml").write_text(text)
-        fails_with(capsys, ["train", "--scene", "mine.toml", *SHORT, "--out", "run"], named)
+        fails_with(capsys, ["train", "--scene", "mine.toml", "--out", "run"], named)
         assert not Path("run").exists()
 
     def test_a_scene_that_is_not_there(self, capsys):
@@ -102,9 +96,8 @@ class TestOwnFile:
         fails_with(capsys, ["train", "--scene", "gone"], "scene: found 'gone', allowed: dark_mpl, hand")
 
     def test_lengths_grow_with_the_fingers_of_another_hand(self):
-        Path("mine.toml").write_text(
-            'base = "handover_anywhere"\nenv = "shadow"\n[scene]\nstart_offset = 0.01\n'
-        )
+        text = 'base = "handover_anywhere"\nenv = "shadow"\n[scene]\nstart_offset = 0.01\n'
+        Path("mine.toml").write_text(text)
         named, mine = scenes.load("handover_anywhere"), scenes.load("mine.toml")
         factor = get("shadow").finger_length / get("mpl").finger_length
         assert factor == pytest.approx(96.0 / 74.6, abs=0.01)  # of their models
@@ -116,10 +109,6 @@ class TestOwnFile:
         assert named.on("shadow")["object_size"] == named.scene["object_size"]
 
 
-PPO = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
-HER = ["--algo", "ddpg_her", "--hidden", "8", "--n-cycles", "1", "--n-batches", "1"]
-HER += ["--n-test-rollouts", "1", "--batch-size", "8", "--n-rollouts", "1"]
-COMMON = ["--task", "reach-goal", "--max-episode-steps", "6", "--workers", "1", "--seed", "5"]
 HARD = ["--object-seen", "noisy", "--sight-noise", "0.02", "0.2", "--sight-noise-kind", "held"]
 HARD += ["--history", "2", "--joint-noise", "0.05", "--goal-range", "0.02", "--taxel-delay", "1"]
 HARD += ["--taxel-false-on", "0.1", "--taxel-false-off", "0.1"]
@@ -132,7 +121,7 @@ HARD += ["--object-density", "400..800", "--start-offset", "0.02", "--start-yaw"
     ("learner", "env", "simulator"), [(PPO, "allegro", "mujoco"), (HER, "mpl", "pybullet")]
 )
 def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, capsys):
-    scene = ["--env", env, "--simulator", simulator, *COMMON, *HARD]
+    scene = ["--env", env, "--simulator", simulator, *REACH, *HARD]
     assert main(["train", *learner, *scene, "--total-timesteps", "12", "--out", "run"]) == 0
     saved = json.loads(Path("run/config.json").read_text())["scene"]
     assert saved["friction"] == "0.5..1"
@@ -145,15 +134,14 @@ def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, cap
 
 class TestEvaluateWithOtherSensors:
     def test_flags_override_the_saved_scene_for_once(self, capsys):
-        scene = ["--env", "shadow", *COMMON, "--layout", "5", "--reward", "dense"]
+        scene = ["--env", "shadow", *REACH, "--layout", "5", "--reward", "dense"]
         main(["train", *HER, *scene, "--total-timesteps", "12", "--out", "run"])
         before = Path("run/config.json").read_text()
         evaluate = ["evaluate", "run", "--episodes", "2", "--workers", "1", "--json"]
         same = ["--taxel-dead", "0", "--object-seen", "exact"]
         blind = ["--object-seen", "hidden", "--taxel-stuck", "1"]
-        plain, same, blind = (
-            json.loads(printed(capsys, [*evaluate, *given])) for given in ([], same, blind)
-        )
+        told = (printed(capsys, [*evaluate, *given]) for given in ([], same, blind))
+        plain, same, blind = map(json.loads, told)
         assert plain == same
         assert "sensors" not in plain
         assert blind["sensors"] == {"object_seen": "hidden", "taxel_stuck": 1.0}
@@ -177,7 +165,54 @@ def test_a_goal_that_is_reached_without_a_move_is_said(capsys, tmp_path, monkeyp
     for height, tolerance, is_said in ((0.02, 0.03, True), (0.08, 0.03, False)):
         goal = [*low, "--goal-height", height, "--goal-tolerance", tolerance]
         assert (words in printed(capsys, ["env", *goal])) == is_said
-        train = ["train", "--algo", "ddpg_her", *goal, "--total-timesteps", 1, "--n-cycles", 1]
-        train += ["--hidden", 8, "--n-batches", 1, "--n-test-rollouts", 0, "--buffer-size", 1000]
-        told = printed(capsys, [*train, "--workers", 1, "--out", tmp_path / str(is_said)])
+        train = ["train", *HER, *goal, "--total-timesteps", 1, "--buffer-size", 1000, "--workers", 1]
+        told = printed(capsys, [*train, "--out", tmp_path / str(is_said)])
         assert (words in " ".join(told.split())) == is_said
+
+
+TO_GOAL, HANDOVER = {"task": "reach-goal"}, {"scene": "handover"}
+WRONG = [
+    ({"control_dt": 0.005}, "control_dt"),
+    *(({name: 1e300}, name) for name in ("hold_seconds", "joint_noise", "slide_noise", "finger_gain")),
+    ({"history": 0}, r"history: found 0, allowed \[1, 100\]"),
+    ({"observe_targets": "no"}, "observe_targets: found 'no'"),
+    ({"object_seen": "blurred"}, "object_seen: found 'blurred', allowed: exact, noisy, start"),
+    ({"sight_noise": (0.01, 0.1)}, "sight_noise: found .* allowed only with object_seen noisy"),
+    ({"object_seen": "hidden", "sight_noise_kind": "held"}, "sight_noise_kind: found held"),
+    ({"object_seen": "noisy", "sight_noise": (-0.01, 0.1)}, "sight_noise: found -0.01"),
+    ({"touch": "off", "taxel_dead": 0.1}, "taxel_dead: found 0.1, allowed only with touch"),
+    ({"touch_rule": "force", "taxel_stuck": 0.1}, "taxel_stuck: .* only with Boolean taxels"),
+    ({"taxel_threshold": 0.1, "touch": "off"}, "taxel_threshold: .* only with touch on"),
+    ({"taxel_threshold": 0.1, "taxel_release": 0.2}, "taxel_release: .* allowed up to taxel_threshold"),
+    ({"taxel_noise": 0.1}, "taxel_noise: found 0.1, allowed only with taxels that read a force"),
+    ({"taxel_threshold_spread": 0.1, "touch_rule": "force"}, "_spread: .* only with touch_rule skin"),
+    ({"sensor": "switch", "taxel_threshold": 0.1}, "taxel_release: found 0.2 N, allowed up to"),
+    ({"sensor": "fsr", "control_dt": 0.0}, "control_dt: found 0.0"),
+    ({"sensor": "fsr3"}, "sensor: found 'fsr3', did you mean fsr\\? allowed: biotac"),
+    ({"giver_force": 1.0}, "giver_force: found 1.0, allowed only with task handover"),
+    ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
+    ({"object": "box,cylinder", "object_size": ("0.04..0.05", 0.05)}, "object_size: found 2 numbers"),
+    ({"object_size": "0.05..0.04"}, r"object_size: found '0.05..0.04', allowed a number or LOW..HIGH"),
+    ({"object_size": "0.04..0.09"}, "object_size: found 0.09 m, allowed up to 0.08 m across"),
+    ({"object_size": (0.02, 0.02, 0.16)}, "object_size: found 0.16 m, allowed up to 0.15 m in height"),
+    ({"friction": "0..1"}, r"friction: found 0.0, allowed \(0, 10\]"),
+    ({"start_offset": 0.02, "jitter": False}, "start_offset: found 0.02, allowed only with jitter"),
+    ({"object": "capsule", "object_size": (0.03, 0.03, 0.05)}, "3 numbers, allowed for a capsule"),
+    ({"object": "ellipsoid", "simulator": "pybullet"}, "object: found ellipsoid, allowed only with"),
+    ({"skin_thickness": 0.003, "simulator": "pybullet"}, "skin_thickness: found 0.003, allowed only"),
+    ({"skin_modulus": 5e4}, "skin_modulus: found 50000.0, allowed only with skin_thickness"),
+    (TO_GOAL | {"goal_range": 0.09}, "goal_range: found 0.09 m, allowed from 0 to goal_height, 0.08 m"),
+    ({"goal_range": 0.01}, "goal_range: .* only with task reach-goal"),
+    (HANDOVER | {"handover_reach": "0.02..0.4"}, r"handover_reach: found 0.4, allowed \[0, 0.3\]"),
+    (TO_GOAL | {"lift_clearance": 0.2}, "lift_clearance: .* only with task lift-and-hold"),
+    ({"actions": "all", "start_closing": 0.5}, "start_closing: .* only with actions fingers or grip"),
+    (HANDOVER | {"reward": "staged"}, "reward: found 'staged'"),
+    (HANDOVER | {"max_episode_steps": 20}, "max_episode_steps: found 20, allowed 53 or more"),
+    (HANDOVER | {"control_dt": 0.0125, "timestep": 0.0025}, "found 0.0125 s, allowed 0.041 s"),
+]
+
+
+@pytest.mark.parametrize(("choices", "named"), WRONG)
+def test_what_cannot_be_or_not_together_is_named(choices, named):
+    with pytest.raises(ValueError, match=named):
+        envs.make("shadow", **choices)

@@ -17,6 +17,8 @@ from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
+TASKS = [("lift-and-hold", "allegro", "mujoco"), ("reach-goal", "mpl", "pybullet")]
+REWARDS = [("lift-and-hold", "staged"), ("reach-goal", "sparse"), ("reach-goal", "dense")]
 
 
 def make(**choices):
@@ -27,22 +29,15 @@ def rollout(env, seed, n=30, scale=1.0):
     obs, _ = env.reset(seed=seed)
     rng, seen = np.random.default_rng(seed), [obs["observation"]]
     for _ in range(n):
-        obs, reward, terminated, truncated, _ = env.step(
-            scale * rng.uniform(-1, 1, env.action_space.shape)
-        )
+        action = scale * rng.uniform(-1, 1, env.action_space.shape)
+        obs, reward, terminated, truncated, _ = env.step(action)
         seen.append(np.append(obs["observation"], reward))
         if terminated or truncated:
             break
     return np.concatenate(seen)
 
 
-@pytest.mark.parametrize(
-    ("task", "hand", "simulator"),
-    [
-        ("reach-goal", "mpl", "pybullet"),
-        ("lift-and-hold", "allegro", "mujoco"),
-    ],
-)
+@pytest.mark.parametrize(("task", "hand", "simulator"), TASKS)
 def test_gymnasium_accepts_it(task, hand, simulator):
     env = envs.make(hand, hold_seconds=0.4, task=task, simulator=simulator)
     assert env.task.goal_size == {"reach-goal": 3, "lift-and-hold": 1 + 4 + 1}[task]
@@ -52,17 +47,10 @@ def test_gymnasium_accepts_it(task, hand, simulator):
         check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize(
-    ("task", "hand", "simulator"),
-    [
-        ("lift-and-hold", "shadow", "mujoco"),
-        ("reach-goal", "mpl", "pybullet"),
-    ],
-)
+@pytest.mark.parametrize(("task", "hand", "simulator"), TASKS)
 def test_same_seed_same_trajectory_after_every_reset(task, hand, simulator):
-    env, again = (
-        envs.make(hand, hold_seconds=0.4, task=task, simulator=simulator, layout="1") for _ in range(2)
-    )
+    choices = dict(hold_seconds=0.4, task=task, simulator=simulator, layout="1")
+    env, again = (envs.make(hand, **choices) for _ in range(2))
     first = rollout(env, 5)
     other = rollout(env, 6)
     assert np.array_equal(first, rollout(env, 5))
@@ -191,12 +179,9 @@ class TestRewards:
         assert rewards["undecided"] == pytest.approx(closeness)
         assert rewards["fell_back"] == rewards["dropped"] == pytest.approx(closeness + 5)
 
-    @pytest.mark.parametrize(
-        "choices",
-        [dict(task="lift-and-hold"), dict(task="reach-goal"), dict(task="reach-goal", reward="dense")],
-    )
-    def test_compute_reward_is_the_reward_of_the_step_and_vectorised(self, choices):
-        env = make(**choices, max_episode_steps=12)
+    @pytest.mark.parametrize(("task", "reward"), REWARDS)
+    def test_compute_reward_is_the_reward_of_the_step_and_vectorised(self, task, reward):
+        env = make(task=task, reward=reward, max_episode_steps=12)
         env.reset(seed=1)
         achieved, desired, rewards = [], [], []
         rng, done = np.random.default_rng(0), False
@@ -212,16 +197,21 @@ class TestRewards:
 
 
 class TestFaults:
-    def test_nan_from_the_simulator_truncates_and_says_so(self):
-        env = make()
+    def test_nan_from_the_simulator_truncates_and_says_so(self, simulator, request):
+        env = envs.make("mpl", simulator=simulator)
         before, _ = env.reset(seed=0)
-        env.simulator.data.qpos[5] = np.nan
-        obs, reward, terminated, truncated, info = env.step(np.zeros(23))
+        if simulator == "mujoco":
+            env.simulator.data.qpos[5] = np.nan
+        else:
+            bullet, nowhere = request.getfixturevalue("bullet"), ((np.nan, 0, 0), (0, 0, 0, 1))
+            bullet.resetBasePositionAndOrientation(env.simulator.object, *nowhere, env.simulator.client)
+        obs, reward, terminated, truncated, info = env.step(np.zeros(7))
         assert info["diverged"]
         assert "not finite" in info["error"]
         assert (reward, terminated, truncated) == (0.0, False, True)
         assert np.array_equal(obs["observation"], before["observation"])
         assert np.array_equal(env.reset(seed=0)[0]["observation"], before["observation"])
+        assert not env.step(np.zeros(7))[-1]["diverged"]
 
     @pytest.mark.parametrize(("poison", "resets_itself"), [("qvel", False), ("qfrc_applied", True)])
     def test_a_huge_state_that_no_observation_shows_is_divergence(self, poison, resets_itself, in_tmp):
@@ -240,9 +230,7 @@ class TestFaults:
         assert (data.time < 0.15) == resets_itself  # of 0.2 s
 
     @pytest.mark.parametrize("rule", ["skin", "contact"])
-    def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
-        self, rule, monkeypatch, in_tmp
-    ):
+    def test_a_step_without_memory_diverges_and_the_next_is_whole(self, rule, monkeypatch, in_tmp):
         """Too little for the constraints of a pressed object; MuJoCo writes a log where it runs."""
         build = mujoco_simulator.build_spec
 
@@ -266,11 +254,10 @@ class TestFaults:
         """A thrown one does not."""
         env = make(task="reach-goal")
         before, _ = env.reset(seed=0)
-        env.simulator.data.joint("object").qpos[2] += 0.5
-        env.state = dataclasses.replace(
-            env.state, object_position=env.simulator.data.joint("object").qpos[:3].copy()
-        )
-        env.simulator.data.joint("object").qvel[0] = speed
+        thing = env.simulator.data.joint("object")
+        thing.qpos[2] += 0.5
+        env.state = dataclasses.replace(env.state, object_position=thing.qpos[:3].copy())
+        thing.qvel[0] = speed
         obs, _, _, truncated, info = env.step(np.zeros(23))
         assert info["diverged"] is truncated is ejected
         assert ejected == ("ejected" in info.get("error", ""))
@@ -298,10 +285,6 @@ def test_friction_is_the_objects_against_everything(friction):
     assert len(seen) > 2  # ground and hand
 
 
-def with_targets(env, targets):
-    return dataclasses.replace(env.simulator.state(), targets=targets)
-
-
 class TestHoldTest:
     """The verdict of the hold, on a grasp that holds and on one that cannot."""
 
@@ -314,7 +297,7 @@ class TestHoldTest:
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
         test = dataclasses.replace(test or env.task.hold, seconds=seconds, verdict=verdict)
-        return test.run(env.simulator, with_targets(env, targets))
+        return test.run(env.simulator, dataclasses.replace(env.simulator.state(), targets=targets))
 
     def test_grasped_object_is_held_at_one_metre(self):
         env = make()

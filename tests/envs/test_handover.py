@@ -109,7 +109,7 @@ class TestEpisode:
     def test_times_are_drawn_and_the_same_whatever_is_sensed(self):
         both = make(), make(touch="off")
         drawn = []
-        for seed in range(200):
+        for seed in range(100):
             a, b = (env.reset(seed=seed) and env.task.sets_off for env in both)
             assert a == b
             drawn.append(a)

@@ -8,6 +8,8 @@ from tactilerl import envs
 from tactilerl.envs.grasp import setup
 from tactilerl.envs.objects import make
 
+from states import closing
+
 VARIED = {
     "object_size": "0.025..0.033",  # capsules are half as long again
     "object_density": "400..800",
@@ -18,17 +20,10 @@ SKIN = softness.SKINS["Dragon Skin 10, 3 mm"]
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 
 
-def rollout(env, seed, n=6):
-    """What is observed in a seeded episode of closing the hand, and the last info."""
-    obs, _ = env.reset(seed=seed)
-    rng, seen, size = np.random.default_rng(0), [obs["observation"]], env.action_space.shape[0]
-    for _ in range(n):
-        action = np.concatenate([[0, 0, -0.1], rng.uniform(-0.5, 1, size - 3)])
-        obs, _, terminated, truncated, info = env.step(action)
-        seen.append(obs["observation"])
-        if terminated or truncated:
-            break
-    return np.array(seen), info
+def rollout(env, seed):
+    """What is observed while a hand closes, and the last info."""
+    seen, _, info = closing(env, seed, 6)
+    return [obs["observation"] for obs in seen], info
 
 
 @pytest.mark.parametrize(

@@ -18,18 +18,10 @@ def make(hand="shadow", simulator="mujoco", **choices):
 
 def episode(env, seed=3, n=8):
     """(observations by name, achieved goals, rewards) of a seeded episode of closing the hand."""
-    obs, _ = env.reset(seed=seed)
-    rng, size = np.random.default_rng(seed), env.action_space.shape[0]
-    seen, achieved, rewards = [obs["observation"]], [obs["achieved_goal"]], []
-    for _ in range(n):
-        fingers = rng.uniform(-0.5, 1, size - 3)
-        obs, reward, *_ = env.step(np.concatenate([[0, 0, -0.1], fingers]))
-        seen.append(obs["observation"])
-        achieved.append(obs["achieved_goal"])
-        rewards.append(reward)
-    assert env.observation_space.contains(obs)
-    names = env.observation_names()
-    return dict(zip(names, np.array(seen).T, strict=True)), np.array(achieved), np.array(rewards)
+    told, rewards, _ = states.closing(env, seed, n)
+    assert env.observation_space.contains(told[-1])
+    seen, achieved = (np.array([obs[key] for obs in told]) for key in ("observation", "achieved_goal"))
+    return dict(zip(env.observation_names(), seen.T, strict=True)), achieved, np.array(rewards)
 
 
 @cache
@@ -108,9 +100,8 @@ class TestJoints:
         return entries(noisy, start) - entries(plain, start)
 
     def test_noise_is_on_the_angles_and_velocities_err_as_their_differences(self):
-        angle, speed = (
-            self.errors(start, joint_noise=0.1) for start in ("position of ", "velocity of ")
-        )
+        starts = "position of ", "velocity of "
+        angle, speed = (self.errors(start, joint_noise=0.1) for start in starts)
         assert not angle[:, :3].any()  # of the slides
         assert angle[:, 3:].std() == pytest.approx(0.1, rel=0.15)
         np.testing.assert_allclose(speed[1:], np.diff(angle, axis=0) / 0.2, atol=1e-5)

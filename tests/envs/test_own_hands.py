@@ -50,7 +50,6 @@ WRONG = [
     ("toml", "[digits]", "observation = []\n[digits]", "observation: found none, allowed: "),
     ("toml", "[digits]", "[pitch.rows]\nmidle = 0.01\n[digits]", "midle: unknown"),
     ("toml", "[digits]", "[scene]\nfric = 1\n[digits]", "scene: fric: unknown; did you mean friction?"),
-    ("toml", "[digits]", "[scene]\ntimestep = 0\n[digits]", "timestep: found 0"),
     ("toml", "[digits]", "[masses]\nlef_1 = 0.1\n[digits]", "masses: found 'lef_1', allowed:"),
     ("toml", "[digits]", "[start_closing]\nlfet = 0.2\n[digits]", "start_closing: found 'lfet'"),
     ("toml", "palm = ", 'drop = ["*"]\npalm = ', "model: found 0 bodies at its root"),

@@ -15,13 +15,10 @@ CUBOID = {"object_size": (0.03, 0.04, 0.06), "object_density": 700.0}
 FORCES = {"touch_rule": "force", "history": 2, "observe_targets": True, "layout": "1"}
 NOISY = {"object_seen": "noisy", "joint_noise": 0.02, "taxel_delay": 1}
 PINNED = [
-    ("1579f744550cd6c4", "shadow", "mujoco", LIFT),
     ("518745aa274a433f", "shadow", "mujoco", REACH),
     ("a1359a70d79483ed", "shadow", "pybullet", LIFT),
     ("8789b69ad8be8654", "shadow", "pybullet", REACH),
-    ("df317bc4135b91b7", "mpl", "mujoco", LIFT),
     ("aa5c54e4ab1d7210", "mpl", "mujoco", REACH),
-    ("db0ffe237ec1af3c", "mpl", "pybullet", LIFT),
     ("64e9445ef0516d51", "mpl", "pybullet", REACH),
     ("1cbef40b33e64e95", "shadow", "mujoco", {"object": "sphere", "object_size": 0.045}),
     ("f1c6cf31b16fc15c", "mpl", "mujoco", CYLINDER),

@@ -20,31 +20,15 @@ damping="0.3"/>{tip}</body></body>
 
 def fingers(tip=TIP):
     """With something else at their ends, where {n} is the finger."""
-    return "".join(
-        FINGER.format(n=n, x=0.05 * s, s=s, tip=tip.format(n=n)) for n, s in (("l", -1), ("r", 1))
-    )
+    sides = ("l", -1), ("r", 1)
+    return "".join(FINGER.format(n=n, x=0.05 * s, s=s, tip=tip.format(n=n)) for n, s in sides)
 
 
 FINGERS = fingers()
 PALM = '<geom type="box" size="0.06 0.03 0.015"/>'
 MODEL = f"""<mujoco><compiler angle="radian"/><worldbody>
 <body name="palm" pos="0 0 0.3">{PALM}{FINGERS}</body></worldbody></mujoco>"""
-TOML = """model = "hand.xml"
-palm = "palm"
-palmar = [0, 0, -1]
-fingers = [0, 1, 0]
-palm_point = [0, 0, -0.015]
-[digits]
-thumb = { links = ["l_1", "l_2"], tip = [0.038, 0, 0] }
-index = { links = ["r_1", "r_2"], tip = [0.038, 0, 0] }
-[closed]
-"?_a" = 0.6
-"?_b" = 0.3
-[[grasp]]
-object_size = 0.05
-slides = [0, 0, 0]
-closing = 1.0
-"""
+TOML = (Path(__file__).parents[1] / "hands/two_fingers.toml").read_text()
 FOLLOWERS = TOML.replace('"?_b" = 0.3\n', "")
 
 
@@ -388,14 +372,12 @@ LINK = """<link name="{n}">
 JOINT = """<joint name="{n}_{j}" type="{kind}"><parent link="{up}"/><child link="{n}_{down}"/>
 <origin xyz="{xyz}" rpy="0 {turn} 0"/><axis xyz="0 {s} 0"/>
 <limit lower="0" upper="1.5" effort="1" velocity="1"/>{mimic}</joint>"""
-BASE = (
-    '<link name="base"/><joint name="f" type="fixed"><parent link="base"/><child link="palm"/></joint>'
-)
+FIXED = '<joint name="f" type="fixed"><parent link="base"/><child link="palm"/></joint>'
 
 
 def urdf(shape='<cylinder radius="0.008" length="0.05"/>', mimic="", kind="revolute"):
     base = LINK.format(n="palm", shape='<box size="0.12 0.06 0.03"/>').replace('rpy="0 1.5708 0"', "")
-    parts = [BASE]
+    parts = ['<link name="base"/>', FIXED]
     for n, s in (("l", -1), ("r", 1)):
         first = {"up": "palm", "xyz": f"{0.05 * s} 0 -0.02", "turn": 1.5708}
         parts += [LINK.format(n=f"{n}_{k}", shape=shape) for k in (1, 2)]

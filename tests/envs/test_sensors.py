@@ -60,6 +60,8 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path, content, said):
 def test_other_names_and_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"found 'fsr2', did you mean fsr\? .*, FILE\.toml"):
         sensors.load("fsr2")
+    with pytest.raises(FileNotFoundError, match=r"sensor file 'no\.toml' does not exist"):
+        sensors.load("no.toml")
     (tmp_path / "empty.toml").write_text("")
     with pytest.raises(ValueError, match="sensor: found None, allowed a table"):
         sensors.load(tmp_path / "empty.toml")

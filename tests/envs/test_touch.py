@@ -174,9 +174,7 @@ class TestForce:
         """A cube is pressed on a flat palm, 10 mm beside its middle, and then on one sensor that
         stands 0.5 mm proud of it."""
         places = [(0.0, 0.0), (0.008, 0.0), (0.0, -0.01), (0.013, 0.012), (0.028, 0.0), (-0.012, 0.0)]
-        points = tuple(
-            Point("palm", (*place, 0.0), (0.0, 0.0, 1.0), 0.004, str(place)) for place in places
-        )
+        points = tuple(Point("palm", (*place, 0.0), (0.0, 0.0, 1.0), 0.004, "") for place in places)
         palm = Surface("index", "palm", "palm", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         taxels = layouts.Taxels(points, np.zeros(len(points), int), np.zeros((len(points), 3)))
         rule = touch.ForceRule(taxels, SimpleNamespace(surfaces=[palm]))
@@ -270,5 +268,4 @@ def total_force(simulator="mujoco", **choices):
     start = scripted.perturbed_start(env, 0, 0)
     for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.3):
         pass
-    force = env.simulator.state().contacts.forces.sum()
-    return force
+    return env.simulator.state().contacts.forces.sum()

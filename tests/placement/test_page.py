@@ -16,10 +16,7 @@ from tactilerl.placement.cover import NEVER, Starts
 from browser import Browser, needs_chromium
 
 N_STARTS = 60
-READY = """new Promise((go) => {
-    const wait = () => typeof dots === "object" && dots ? go() : setTimeout(wait, 50);
-    wait();
-})"""
+READY = "typeof dots === 'object' && dots"
 TEXT = "document.getElementById('{}').textContent"
 
 
@@ -40,9 +37,8 @@ def played(rng, n_taxels):
 
 @pytest.fixture(scope="module", params=[pytest.param("", marks=pytest.mark.slow), "digit"])
 def design(request):
-    flags = DesignFlags(
-        scene=("handover",), skin="6mm", survives=request.param, start_closing=(0.2, 0.3)
-    )
+    scene = dict(scene=("handover",), skin="6mm", start_closing=(0.2, 0.3))
+    flags = DesignFlags(**scene, survives=request.param)
     pool, rng = Pool.of(flags), np.random.default_rng(0)
     if request.param:
         boards = groups_of("digit", pool.hand, pool.skin, "boards").members.argmax(axis=0)
@@ -94,9 +90,8 @@ class TestPage:
     @pytest.mark.parametrize("browser", [390], indirect=True)
     def test_on_a_phone_by_keyboard_and_on_paper(self, design, browser):
         assert browser.run("document.documentElement.scrollWidth") <= 390
-        assert "best one without touch (timed, as the gate finds it) in 0.20" in browser.run(
-            TEXT.format("verdict")
-        )
+        said = browser.run(TEXT.format("verdict"))
+        assert "best one without touch (timed, as the gate finds it) in 0.20" in said
         assert "no touch" in browser.run(TEXT.format("results"))
         number, unit = (browser.run(TEXT.format(name)) for name in ("number", "unit"))
         is_priced = bool(design.pool.prices)

@@ -10,21 +10,17 @@ import pytest
 from tactilerl.commands.cli import main
 from tactilerl.runs import policies
 
-from one_line import TOY, fails_with, printed, python
+from one_line import HER, PPO, TOY, fails_with, printed, python
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ROOT / "examples/policies"
 HANDOVER = POLICIES / "handover_touch"
 RATES = {"handover_touch": (0.7, 1.0), "handover_no_touch": (0.0, 0.5), "shadow_lift": (0.5, 1.0)}
-PPO = ["--hidden", "16", "--steps-per-epoch", "20", "--n-passes", "1"]
-HER = ["--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "1", "--n-batches", "2"]
-HER += ["--n-test-rollouts", "0", "--batch-size", "32"]
-ONE = ["--simulator", "mujoco", "--total-timesteps", "20"]
-SHORT = ["--max-episode-steps", "5"]
 RUNS = {
-    "slides and fingers": ["--env", "mpl", "--recipe", "robust", "--touch-rule", "force", *PPO, *SHORT],
-    "goals": ["--task", "reach-goal", "--observe-targets", "--history", "3", *HER, *SHORT],
+    "slides and fingers": ["--env", "mpl", "--recipe", "robust", "--touch-rule", "force", *PPO],
+    "goals": ["--task", "reach-goal", "--observe-targets", "--history", "3", *HER],
 }
+SHORT = ["--simulator", "mujoco", "--max-episode-steps", "5", "--total-timesteps", "20"]
 pytestmark = pytest.mark.usefixtures("in_tmp")
 
 
@@ -43,7 +39,7 @@ def made(tmp_path_factory):
     """The folders of the runs, by name."""
     folder = tmp_path_factory.mktemp("runs")
     for name, flags in RUNS.items():
-        assert main(["train", *flags, *ONE, "--out", str(folder / name)]) == 0
+        assert main(["train", *flags, *SHORT, "--out", str(folder / name)]) == 0
     return {"shipped": HANDOVER} | {name: folder / name for name in RUNS}
 
 
@@ -96,13 +92,18 @@ def test_the_control_loop_moves_a_hand_behind_a_socket(tmp_path):
 @pytest.mark.parametrize("name", RUNS)
 def test_a_record_has_every_step_in_named_columns(name, made, capsys):
     args = ["evaluate", made[name], "--episodes", "2", "--workers", "1", "--json"]
-    each = json.loads(printed(capsys, [*args, "--record", "steps.csv"]))["each"]
+    told = json.loads(printed(capsys, [*args, "--record", "steps.csv"]))
+    each = told["each"]
+    assert [episode["episode"] for episode in each] == [0, 1]
+    assert np.mean([episode["return"] for episode in each]) == pytest.approx(told["mean_return"])
     rows = [*csv.DictReader(Path("steps.csv").read_text().splitlines())]
     assert len(rows) == sum(episode["length"] for episode in each)
     trained = policies.read_run(made[name])
     with closing(trained.config.make_env()) as env:
         for episode in each:
             mine = [row for row in rows if row["episode_index"] == str(episode["episode"])]
+            rewards = [float(row["next.reward"]) for row in mine]
+            assert sum(rewards) == pytest.approx(episode["return"])
             obs, _ = env.reset(seed=episode["seed"])
             for step, row in enumerate(mine):
                 assert row["frame_index"] == str(step)
@@ -110,11 +111,10 @@ def test_a_record_has_every_step_in_named_columns(name, made, capsys):
                 for entry, value in zip(env.observation_names(), obs["observation"], strict=True):
                     assert entry.endswith(")") or np.float32(row[entry]) == value
                 action = trained.policy.act(obs)
-                assert [row[f"action {entry}"] for entry in env.hand.action_names] == [
-                    *map(str, action)
-                ]
+                taken = [row[f"action {entry}"] for entry in env.hand.action_names]
+                assert taken == [*map(str, action)]
                 obs, reward, terminated, truncated, info = env.step(action)
-                assert float(row["next.reward"]) == reward
+                assert rewards[step] == reward
                 assert row["next.done"] == str(int(terminated or truncated))
                 assert row["next.success"] == str(int(info["is_success"] and (terminated or truncated)))
 

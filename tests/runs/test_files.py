@@ -1,7 +1,9 @@
-"""Damaged files are refused with one line; what is written is whole; runs keep what made them."""
+"""Damaged files are refused with one line; what is written is whole; runs keep what made them; what
+others own is never lost: what writes a file takes a new name, or replaces one of its own."""
 
 import io
 import json
+import math
 import os
 import resource
 import shutil
@@ -9,9 +11,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import tactilerl
 import torch
 from tactilerl import files
 from tactilerl.commands.cli import main
@@ -20,10 +24,10 @@ from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
 from tactilerl.runs.store import RunDir
 
-from one_line import TOY, fails_with, python
+from one_line import HER, PPO, REACH, TOY, fails_with, python
+from study_records import make_study
+from tiny_study import TINY
 
-HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "--n-cycles", "1"]
-HER += ["--n-batches", "1", "--n-test-rollouts", "0", "--batch-size", "8"]
 RESUME = ["train", "--resume", "run"]
 PART = Path("run/experience/00000001-0000.pt")
 pytestmark = pytest.mark.usefixtures("in_tmp")
@@ -32,10 +36,14 @@ CHECKPOINT, TABLE, CONFIG = Path("run/checkpoint.pt"), Path("run/progress.csv"),
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A run of each algorithm, of three epochs and of one."""
+    """A run of each algorithm, of three epochs and of one; one of a hand, and a study."""
     folder = tmp_path_factory.mktemp("made")
     assert main([*TOY, "--total-timesteps", "180", "--out", str(folder / "ppo")]) == 0
-    assert main([*HER, "--total-timesteps", "50", "--out", str(folder / "her")]) == 0
+    her = ["train", *HER, "--env", "point-reach", "--total-timesteps", "50"]
+    assert main([*her, "--out", str(folder / "her")]) == 0
+    hand = ["train", *PPO, "--env", "mpl", "--simulator", "mujoco", *REACH, "--max-episode-steps", "1"]
+    assert main([*hand, "--total-timesteps", "1", "--out", str(folder / "hand")]) == 0
+    make_study(folder / "study", TINY)
     return folder
 
 
@@ -93,19 +101,20 @@ class TestCheckpoint:
 
 class TestProgress:
     @pytest.mark.parametrize(
-        "damage",
+        ("damage", "words"),
         [
-            lambda rows: b"a,b,c\n" + b"".join(rows[1:]),
-            lambda rows: b"".join([rows[0].replace(b"epoch", b"epok"), *rows[1:]]),
-            lambda rows: b"".join([rows[0], b"," + rows[1].partition(b",")[2], *rows[2:]]),
-            lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]),
+            (lambda rows: b"a,b,c\n" + b"".join(rows[1:]), "damaged"),
+            (lambda rows: b"".join([rows[0].replace(b"epoch", b"epok"), *rows[1:]]), "damaged"),
+            (lambda rows: b"".join([rows[0], b"," + rows[1].partition(b",")[2], *rows[2:]]), "damaged"),
+            (lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]), "damaged"),
+            (lambda rows: b"".join(rows[:-1]), "found epochs up to 2, the checkpoint's is 3"),
         ],
     )
-    def test_a_damaged_table_is_refused_and_kept(self, ppo, capsys, damage):
+    def test_a_damaged_table_is_refused_and_kept(self, ppo, capsys, damage, words):
         bad = damage(TABLE.read_bytes().splitlines(keepends=True))
         TABLE.write_bytes(bad)
         before = CHECKPOINT.read_bytes(), CONFIG.read_bytes()
-        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv: damaged")
+        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv", words)
         assert TABLE.read_bytes() == bad
         assert (CHECKPOINT.read_bytes(), CONFIG.read_bytes()) == before
 
@@ -114,6 +123,17 @@ class TestProgress:
         TABLE.write_bytes(rows + rows.splitlines()[-1].replace(b"3,", b"4,", 1) + b"\n5,300,")
         assert main([*RESUME]) == 0
         assert TABLE.read_bytes() == rows
+
+
+@contextmanager
+def disk_of(n_bytes):
+    """No file becomes longer than so many bytes."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 class TestWriting:
@@ -125,17 +145,25 @@ class TestWriting:
 
     def test_a_full_disk_leaves_the_run_as_it_was(self, ppo, capsys):
         before = CHECKPOINT.read_bytes()
-        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
         more = [*RESUME, "--total-timesteps", "240"]
-        try:
-            words = "stopped: [Errno 27] File too large", "the last checkpoint is kept"
+        words = "stopped: [Errno 27] File too large", "the last checkpoint is kept"
+        with disk_of(len(before) // 2):
             fails_with(capsys, more, *words, code=1)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert CHECKPOINT.read_bytes() == before
         assert not list(Path("run").rglob("*.tmp"))
         assert main(more) == 0
+
+    def test_a_full_disk_in_the_midst_of_what_pytorch_writes(self):
+        """Of a file that is larger than what it holds back."""
+        with disk_of(100_000), pytest.raises(OSError, match="File too large"):
+            store.write_tensors(Path("x.pt"), {"x": torch.zeros(10**6)})
+        assert not list(Path().iterdir())
+
+    def test_divergence_stops_with_the_last_checkpoint_kept(self, ppo, capsys):
+        edit(CHECKPOINT, lambda content: content["ranks"][0]["critic"]["0.weight"].fill_(math.nan))
+        before = CHECKPOINT.read_bytes()
+        fails_with(capsys, [*RESUME, "--total-timesteps", "600"], "stopped: ", "not finite", code=1)
+        assert CHECKPOINT.read_bytes() == before
 
     def test_where_nothing_can_be_written(self, tmp_path):
         Path("file").touch()
@@ -250,16 +278,41 @@ class TestTerminal:
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_full_disk_is_an_error_of_the_disk(tmp_path):
-    """Also where PyTorch notices it in the midst of a file that is larger than what it holds back."""
-    code = """if True:
-        import pathlib, resource, torch
-        from tactilerl.runs import store
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-        try:
-            store.write_tensors(pathlib.Path("x.pt"), {"x": torch.zeros(10**6)})
-        except OSError as error:
-            print(error.strerror, *pathlib.Path().iterdir())
-    """
-    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert ended.stdout == "File too large\n", ended.stderr
+DESIGN = ["design", "--scene", "handover_anywhere", "--taxels", "1", "--skin", "20mm", "--beside", "2"]
+DESIGN += ["--starts", "1", "--test-starts", "2", "--workers", "1"]
+WRITERS = {  # what it writes, and how; a folder's first file says whose the folder is
+    "design/design.json": [*DESIGN, "--out", "design"],
+    "x.tar.gz": ["study", "collect", "study", "--out", "x.tar.gz"],
+    "x.png": ["render", "--pose", "start", "--out", "x.png"],
+    "x.mp4": ["render", "hand", "--episodes", "1", "--video", "x.mp4"],
+    "x.csv": ["evaluate", "hand", "--episodes", "1", "--record", "x.csv"],
+    "x.onnx": ["export", "hand", "--out", "x.onnx"],
+    "report/report.html": ["study", "report", "study", "--out", "report"],
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.usefixtures("few_reflexes")
+def test_what_exists_stays_unless_it_is_to_be_overwritten(name, made, ppo):
+    for other in ("hand", "study"):
+        shutil.copytree(made / other, other)
+    Path("victim").write_text("mine")
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for put, content, flags in ((Path.write_text, ["mine"], []), (os.mkfifo, [], ["--overwrite"])):
+        put(path, *content)
+        before = path.lstat()
+        assert main([*WRITERS[name], *flags]) == 2
+        assert path.lstat()[:7] == before[:7]
+        assert [*path.parent.glob(".lock")] == []
+        path.unlink()
+    assert Path("victim").read_text() == "mine"
+    path.write_text("mine")
+    assert main([*WRITERS[name], "--overwrite"]) == 0
+    assert path.read_bytes() != b"mine"
+
+
+def test_a_policy_never_replaces_a_run(ppo):
+    with pytest.raises(ValueError, match="not a policy"):
+        tactilerl.PPO("lqr", hidden=(8,)).save("run/checkpoint.pt")
+    assert main(["evaluate", "run", "--episodes", "1"]) == 0

@@ -1,4 +1,4 @@
-"""Gates: reflexes of each sense, and the sentence that is made of them."""
+"""Gates: reflexes of each sense, and the sentence that is made of them; which taxels fire in grasps."""
 
 import json
 import re
@@ -6,8 +6,9 @@ import re
 import numpy as np
 import pytest
 from tactilerl import envs
+from tactilerl.commands.cli import main
 from tactilerl.envs.grasp import setup
-from tactilerl.scripted import gate, reflexes
+from tactilerl.scripted import gate, reflexes, taxels
 from tactilerl.scripted.gate import HandResult
 from tactilerl.scripted.reflexes import Reflex
 from tactilerl.terminal import console
@@ -155,3 +156,34 @@ def test_of_long_work_one_reads_how_far_it_is_in_a_unit_that_fits(capsys, monkey
     assert re.fullmatch(r"playing: 0.001 %, about \d+ \w+ left\n", capsys.readouterr().err)
     times = {40: "40 s", 100: "2 min", 1500: "25 min", 4 * 3600: "4 h", 10**6: "12 days"}
     assert {seconds: console.about(seconds) for seconds in times} == times
+
+
+@pytest.mark.parametrize(
+    ("layout", "rule", "least", "most"),
+    [("1", "skin", 0.9, 1), ("5", "skin", 0.5, 1), ("3", "contact", 0, 0.5)],
+)
+def test_how_often_some_taxel_fires(layout, rule, least, most):
+    check = taxels.check("shadow", setup("shadow", layout=layout, touch_rule=rule), n=4)
+    assert check.held == check.grasps == 4
+    assert least <= check.share_any <= most
+    assert not {*check.fired} & {*check.never_fired}
+
+
+def test_the_command_fails_where_touch_tells_too_little(capsys, monkeypatch, tmp_path, in_tmp):
+    monkeypatch.setattr(taxels.check, "__defaults__", (1, 0.2))
+    text = printed(capsys, ["env", "--env", "shadow", "--layout", "5", "--check"])
+    assert "of 19 taxels fire" in text
+    assert "ring.proximal, ring.middle, ring.distal, " in text.partition("never fired: ")[2]
+    assert main(["env", "--env", "shadow", "--layout", "5", "--check", "--json"]) == 0
+    fires = json.loads(capsys.readouterr().out)["check"]["fired"]
+    digit, segment = fires[0].partition("[")[0].split(".")
+    for name, on, code in (("fires", (digit, segment), 0), ("silent", ("thumb", "proximal"), 1)):
+        (tmp_path / f"{name}.toml").write_text(
+            f"[[patch]]\ndigits = ['{on[0]}']\nsegments = ['{on[1]}']\n"
+            "offsets_mm = [[0, 0]]\nradius_mm = 4\n"
+        )
+        printed(capsys, ["env", "--env", "shadow", "--layout", f"{name}.toml", "--check"], code=code)
+
+
+def test_a_handover_has_no_scripted_grasp(capsys):
+    fails_with(capsys, ["env", "--scene", "handover", "--check"], "says tactilerl gate")

@@ -7,9 +7,10 @@ import pytest
 from tactilerl.study import grid
 
 from one_line import fails_with
-from tiny_study import GOOD, write
+from tiny_study import write
 
 ROOT = Path(__file__).resolve().parents[2]
+GOOD = (ROOT / "tests/studies/two_setups.toml").read_text()
 SIZES = "batch_size = [16, 32]"
 
 
