@@ -282,7 +282,8 @@ class MujocoSimulator(Simulator):
         """Return MuJoCo's qpos (..., nq) and ctrl (..., nu) where episodes begin, at yaws (...)."""
         qpos = np.tile(self.model.qpos0, (*yaw.shape, 1))
         qpos[..., self._qpos] = joint_positions
-        turn = np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)
+        zero = np.zeros_like(yaw)  # 0 * yaw may be -0.0
+        turn = np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)
         pose = np.concatenate([object_position, np.stack(turn, axis=-1)], axis=-1)
         qpos[..., self._object_qpos] = pose
         ctrl = np.zeros((*yaw.shape, self.model.nu))
