@@ -384,14 +384,15 @@ def test_an_unknown_keyword_is_pythons_error_and_ours():
             gym.make("tactilerl/Handover-v0", frameskip=1)
 
 
-def test_a_second_picture_without_a_display_fails_like_the_first():
-    code = (
-        "import tactilerl\nfor _ in range(3):\n env = tactilerl.make('shadow', render_mode='rgb_array')"
-    )
-    code += "\n env.reset()\n try: env.render(); print('drawn')\n except OSError: print('cannot draw')"
+def test_where_there_is_no_display():
+    """The command says it in one line, and of a second picture as of the first."""
+    pytest.importorskip("imageio.v2")
+    code = "from tactilerl.commands import cli; pose = ['render', '--layout', '1']; "
+    code += "print(cli.main(pose), cli.main(pose))"
     done = python("-c", code, MUJOCO_GL="glfw")
-    assert done.returncode == 0, done.stderr
-    assert len(set(done.stdout.splitlines())) == 1
+    first, second = done.stderr.splitlines()
+    assert (done.stdout, second) == ("2 2\n", first)
+    assert first.startswith("tactilerl: error: MuJoCo cannot draw here; without a display")
 
 
 def test_windows_are_gymnasiums():
