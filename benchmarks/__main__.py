@@ -41,14 +41,6 @@ def usage(files: dict[str, Path]) -> str:
     return "\n".join(lines)
 
 
-def print_tables(module: Any) -> None:
-    """Print the tables of a module, one after the other."""
-    no_flags(module.__doc__)
-    for name, show in module.TABLES.items():
-        print(f"\n### {name}\n")
-        show()
-
-
 def main() -> int | None:
     """Run the benchmark that is named."""
     files = benchmarks()
@@ -59,12 +51,17 @@ def main() -> int | None:
     sys.argv[0] = f"python -m benchmarks {name}"
     module = ".".join(files[name].relative_to(HERE).with_suffix("").parts)
     try:
-        benchmark = import_module(f"benchmarks.{module}")
-        code: int | None = benchmark.main() if hasattr(benchmark, "main") else print_tables(benchmark)
+        benchmark: Any = import_module(f"benchmarks.{module}")
+        if hasattr(benchmark, "main"):
+            return benchmark.main()
+        no_flags(benchmark.__doc__)
+        for name, show in benchmark.TABLES.items():
+            print(f"\n### {name}\n")
+            show()
+        return None
     except InputError as error:
         print(f"{sys.argv[0]}: error: {error}", file=sys.stderr)
-        code = 2
-    return code
+        return 2
 
 
 if __name__ == "__main__":

@@ -239,13 +239,10 @@ def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
         }
         if name != OURS:
             reference = [run.seconds for run in runs[OURS]]
-            result[name]["ratio"] = _with_interval(_ratio, seconds, reference)
+            result[name]["ratio"] = _with_interval(
+                lambda a, b, axis: a.mean(axis) / b.mean(axis), seconds, reference
+            )
     return result
-
-
-def _ratio(a: np.ndarray, b: np.ndarray, axis: int) -> Any:
-    """Return the ratio of two means."""
-    return a.mean(axis=axis) / b.mean(axis=axis)
 
 
 def _with_interval(statistic: Callable[..., Any], *samples: list[float]) -> list[float]:

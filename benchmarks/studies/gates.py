@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from operator import itemgetter
 from typing import Any
 
 from tactilerl.envs import scenes, tasks
@@ -69,7 +70,11 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
             for scene in ("handover", "handover_anywhere")
         },
         "thresholds": [
-            (f"{force:g} {threshold:g}", "handover", to_six(force, threshold))
+            (
+                f"{force:g} {threshold:g}",
+                "handover",
+                {"layout": SIX, "giver_force": force, "taxel_threshold": threshold},
+            )
             for force, threshold in itertools.product(FORCES, THRESHOLDS)
         ],
         "layouts": [
@@ -83,11 +88,6 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     }
 
 
-def to_six(force: float, threshold: float) -> dict[str, Any]:
-    """Return a handover to six sensors, by the giver's force and the sensors' threshold, N."""
-    return {"layout": SIX, "giver_force": force, "taxel_threshold": threshold}
-
-
 def show_thresholds(known: dict[str, dict[str, Row]]) -> None:
     """Print a row for each force of the giver."""
     rows = known.get("thresholds", {})
@@ -97,7 +97,7 @@ def show_thresholds(known: dict[str, dict[str, Row]]) -> None:
 
     def cell(force: float, threshold: str, senses: tuple[str, ...]) -> str:
         reflexes = rows[f"{force:g} {threshold}"]["reflexes"]
-        best = max((reflexes[sense] for sense in senses if sense in reflexes), key=_rate)
+        best = max((reflexes[sense] for sense in senses if sense in reflexes), key=itemgetter("rate"))
         return interval(best["rate"], *best["interval"])
 
     head = " | ".join(name for name, *_ in columns)
@@ -107,10 +107,6 @@ def show_thresholds(known: dict[str, dict[str, Row]]) -> None:
         f"| giver's force | {head} |",
         ((f"{force:g} N", *(cell(force, *what) for _, *what in columns)) for force in forces),
     )
-
-
-def _rate(one: Row) -> float:
-    return one["rate"]
 
 
 def show(table: str, known: dict[str, dict[str, Row]]) -> None:

@@ -110,9 +110,7 @@ def contrast(
     samples = [group[name] for group in of.values() for name in weights]
     factors = np.tile([*weights.values()], len(of)) / len(of)
     value = float(factors @ [cell.mean() for cell in samples])
-    parts = np.array(
-        [f**2 * cell.var(ddof=1) / len(cell) for f, cell in zip(factors, samples, strict=True)]
-    )
+    parts = factors**2 * [cell.var(ddof=1) / len(cell) for cell in samples]
     df = parts.sum() ** 2 / (parts**2 / [len(cell) - 1 for cell in samples]).sum()
     t = scipy.stats.t(df, value, np.sqrt(parts.sum()))
     low, high = t.interval(confidence)
@@ -148,10 +146,9 @@ def parts_of(of: Cells) -> dict[str, Cells]:
 
 def show_touch(study: str) -> None:
     """Print what touch adds in each set-up, as the mean over the layouts."""
-    of = cells(study)
+    of, rows = cells(study), []
     gains = [contrast({setup: group}, gain(of)) for setup, group in of.items()]
     corrected = statistics.holm([p for _, p in gains])
-    rows = []
     for (setup, group), (added, _), p in zip(of.items(), gains, corrected, strict=True):
         levels = [f"{cell.mean():.2f}" for cell in group.values()]
         n_seeds = min(map(len, group.values()))
@@ -183,22 +180,21 @@ def differences(of: Cells) -> dict[tuple[str, str], Estimate]:
     return {pair: Estimate(*one) for pair, one in zip(names, found, strict=True)}
 
 
-def differ(of: Cells) -> list[tuple[str, str]]:
+def differ(pairs: dict[tuple[str, str], Estimate]) -> list[tuple[str, str]]:
     """Return the pairs of layouts whose interval leaves out 0."""
-    return [pair for pair, one in differences(of).items() if one.low > 0 or one.high < 0]
+    return [pair for pair, one in pairs.items() if one.low > 0 or one.high < 0]
 
 
 def show_pairs(study: str) -> None:
     """Print the pairs of layouts that differ somewhere, in each set-up and pooled."""
-    parts = parts_of(cells(study))
-    by_part = [differences(of) for of in parts.values()]
-    found = [differ(of) for of in parts.values()]
-    rows = [("pairs that differ", *(f"{len(pairs)} of {len(by_part[0])}" for pairs in found))]
-    for pair in by_part[0]:
-        if any(pair in pairs for pairs in found):
-            values = (estimate(differences[pair], "+.2f") for differences in by_part)
+    by_part = {name: differences(of) for name, of in parts_of(cells(study)).items()}
+    pairs, found = by_part["all set-ups"], [*map(differ, by_part.values())]
+    rows = [("pairs that differ", *(f"{len(some)} of {len(pairs)}" for some in found))]
+    for pair in pairs:
+        if any(pair in some for some in found):
+            values = (estimate(each[pair], "+.2f") for each in by_part.values())
             rows.append((" − ".join(pair), *values))
-    markdown(f"| | {' | '.join(parts)} |", rows)
+    markdown(f"| | {' | '.join(by_part)} |", rows)
 
 
 def rank_correlation(a: Array, b: Array) -> float:
@@ -333,9 +329,9 @@ def show_budgets(study: str) -> None:
     for name in (*WINDOWS, RUN, TEST):
         of = cells(study, name)
         added = estimate(contrast(of, gain(of))[0], "+.2f")
-        alone = np.mean([len(differ({s: group})) for s, group in of.items()])
+        alone = np.mean([len(differ(differences({s: group}))) for s, group in of.items()])
         correlation = rank_correlation(means(of)[:, :-1].mean(axis=0), last)
-        rows.append((name, added, f"{alone:.1f}", len(differ(of)), f"{correlation:.2f}"))
+        rows.append((name, added, f"{alone:.1f}", len(differ(differences(of))), f"{correlation:.2f}"))
     head = "| score | touch − no touch | pairs that differ in a set-up | pooled |"
     markdown(f"{head} rank correlation with the last test |", rows)
 
