@@ -82,7 +82,7 @@ class Normalizer:
     def std(self) -> Array:
         """Divisor of each column, float64 (size,): at least `min_std`.
 
-        Before the first update it is 1, and in a block sqrt(1 / BLOCK_NORM).
+        Before the first update the deviation counts as 1, in a block as sqrt(1 / BLOCK_NORM).
         """
         is_new = self.count == 0
         variance = np.ones_like(self.mean) if is_new else self.squares / self.count

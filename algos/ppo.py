@@ -241,7 +241,8 @@ def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: Any) -> Surroga
     Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any
     clip range; what lies beyond has no gradient.
     """
-    ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
+    log_ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
+    ratio = log_ratio.exp()
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
     loss = -torch.minimum(ratio * advantages, clipped * advantages)
     return Surrogate(loss, (ratio - 1 - log_ratio).detach(), clipped != ratio)
@@ -268,11 +269,12 @@ class Silence(Counts):
     - All failed, in so many episodes since the last update that the policy before it would have done so
       with a probability below `LEVEL`: undo. Nothing more is undone until there is another update.
 
-    A failure has the lowest return of the last epoch in which returns differed, or a
-    lower one. The policy before the update is known by its failures and its other
-    episodes, which fade by `KEEP` from one update to the next: they speak of the last
-    five or so. Its success rate is what they leave uncertain (Beta distribution,
-    Jeffreys' prior). Of updates that change nothing, about one in fifty is undone.
+    A failure has the lowest return of the last epoch that was learned from and in which
+    returns differed. All failed where all returns are that one, or all are below it.
+    The policy before the update is known by its failures and its other episodes, which
+    fade by `KEEP` from one update to the next: they speak of the last five or so. Its
+    success rate is what they leave uncertain (Beta distribution, Jeffreys' prior). Of
+    updates that change nothing, about one in fifty is undone.
     """
 
     LEVEL, KEEP, PRIOR = 0.02, 0.8, 0.5
