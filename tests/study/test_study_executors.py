@@ -76,9 +76,10 @@ def test_a_scheduler_that_dies(tmp_path, capfd):
     command = ["-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
     command += ["--host", "127.0.0.1", "--scheduler-file", str(tmp_path / "where.json")]
     scheduler = subprocess.Popen([sys.executable, *command], stderr=subprocess.DEVNULL)
-    while not (tmp_path / "where.json").exists() and scheduler.poll() is None:
+    where, out = tmp_path / "where.json", tmp_path / "out"
+    while not (where.exists() and where.read_text()) and scheduler.poll() is None:
         time.sleep(0.1)
-    address, out = json.loads((tmp_path / "where.json").read_text())["address"], tmp_path / "out"
+    address = json.loads(where.read_text())["address"]
 
     def kill():
         while not (out / "study.json").exists():
