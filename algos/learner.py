@@ -194,7 +194,7 @@ class Learner(ABC):
         """Go on exactly where `state_dict` was taken."""
         restore({name: getattr(self, name) for name in self.saved}, state)
         for name in self.plain:
-            setattr(self, name, copy.deepcopy(state[name]))
+            setattr(self, name, state[name])
 
 
 class Counts:
@@ -235,9 +235,8 @@ class RewardScale(Counts):
         """Raise a running scale to this, where it is larger; return the factor for critics' outputs."""
         if not self.is_running or scale <= self.scale:
             return 1.0
-        factor = (
-            self.scale / scale if self.scale else 1.0
-        )  # a new critic stays as it is
+        # A new critic stays as it is.
+        factor = self.scale / scale if self.scale else 1.0
         self.scale = scale
         return factor
 
@@ -256,10 +255,11 @@ def states(parts: Mapping[str, Any]) -> dict[str, Any]:
     """Return copies of the states of parts, by name.
 
     Of tensors that are part of a larger one, as those of a batch of runs are, only the
-    part is copied.
+    part is copied; in order, as a fused Adam takes numbers as they lie in memory.
     """
     state = {name: part.state_dict() for name, part in parts.items()}
-    return tree_map_only(Tensor, torch.clone, state)  # type: ignore[no-any-return]
+    copied = tree_map_only(Tensor, lambda part: part.contiguous().clone(), state)
+    return copied  # type: ignore[no-any-return]
 
 
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:

@@ -238,11 +238,10 @@ class Surrogate(NamedTuple):
 def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: Any) -> Surrogate:
     """Return the clipped objective from log ratios and advantages (n,) (Schulman et al. 2017, eq. 7).
 
-    Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any
-    clip range; what lies beyond has no gradient.
+    For the ratio, log ratios are cut at ±20, so that nothing overflows. That is far
+    outside any clip range; what lies beyond has no gradient.
     """
-    log_ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
-    ratio = log_ratio.exp()
+    ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
     loss = -torch.minimum(ratio * advantages, clipped * advantages)
     return Surrogate(loss, (ratio - 1 - log_ratio).detach(), clipped != ratio)
@@ -300,10 +299,8 @@ class Silence(Counts):
         failed = returns.count(self.failure)
         self.failed = self.KEEP * self.failed + self.failed_since + failed
         self.others = self.KEEP * self.others + n - failed
-        self.failed_since, self.can_undo = (
-            0,
-            True,
-        )  # the update that follows is the last
+        # The update that follows is the last.
+        self.failed_since, self.can_undo = 0, True
         return "learn"
 
     def _judge_failures(self, n: int) -> Verdict:

@@ -36,8 +36,7 @@ def usage(files: dict[str, Path]) -> str:
     lines = ["usage: python -m benchmarks NAME [OPTIONS]"]
     for group in sorted({path.parent for path in files.values()}):
         lines += ["", about(group / "__init__.py")]
-        members = {name: path for name, path in files.items() if path.parent == group}
-        lines += [f"  {name:18}{about(path)}" for name, path in members.items()]
+        lines += [f"  {name:18}{about(path)}" for name, path in files.items() if path.parent == group]
     return "\n".join(lines)
 
 
@@ -55,6 +54,8 @@ def main() -> int | None:
         if hasattr(benchmark, "main"):
             return benchmark.main()
         no_flags(benchmark.__doc__)
+        if not benchmark.TABLES:
+            raise InputError("docs/data: found no collected study of it")
         for name, show in benchmark.TABLES.items():
             print(f"\n### {name}\n")
             show()

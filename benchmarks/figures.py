@@ -100,6 +100,6 @@ def main() -> None:
             handover(name)
         save(study_tables.picture(), "study_layouts")
         for study in layouts_study.COLLECTED:
-            save(layouts_study.picture(study), study)
+            save(layouts_study.picture(study), f"{study}_study")
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

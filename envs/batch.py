@@ -153,7 +153,7 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
         n = self.num_envs
         mask = np.asarray((options or {}).get("reset_mask", np.ones(n, bool)), bool)
         seeds: Any = [None] * n if seed is None else seed
-        if isinstance(seed, int):
+        if isinstance(seed, int | np.integer):
             seeds = range(seed, seed + n)
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:

@@ -70,13 +70,15 @@ def read(path: Path) -> tuple[Point, ...]:
     with blamed(f"taxel file {path}"):
         lines = read_text(path, "taxel file").splitlines()
         rows = csv.DictReader(lines, skipinitialspace=True)
-        points = tuple(point(_table(row), i) for i, row in enumerate(rows, 1))
+        points = tuple(
+            point(_table(row, rows.line_num), i) for i, row in enumerate(rows, 1)
+        )
         if not points:
             raise ValueError("found no taxel")
         return points
 
 
-def _table(row: dict[str, str]) -> dict[str, Any]:
+def _table(row: dict[str, str], line: int) -> dict[str, Any]:
     """Return the table that a row of a CSV file stands for."""
     cells = {name.strip(): cell for name, cell in row.items() if name and cell}
     table: dict[str, Any] = {k: cells[k] for k in ("link", "name") if k in cells}
@@ -88,7 +90,7 @@ def _table(row: dict[str, str]) -> dict[str, Any]:
             table["radius"] = float(cells["radius"])
     except (ValueError, KeyError) as error:
         raise ValueError(
-            f"found the row {str(cells)[:200]}, expected numbers as x, y, z and, where they are known, "
-            "nx, ny, nz and radius"
+            f"line {line}: found {str(cells)[:200]}, expected numbers as x, y, z and, where they "
+            "are known, nx, ny, nz and radius"
         ) from error
     return table

@@ -46,6 +46,13 @@ def damage_named(
         raise InputError(f"{path}: {problem} ({reason})") from error
 
 
+def require_path(path: Any, where: str) -> Path:
+    """Return a path that somebody gave; InputError where it is none, or empty."""
+    if not isinstance(path, str | os.PathLike) or not str(path):
+        raise InputError(f"{where}: found {path!r}, allowed a path")
+    return Path(path)
+
+
 def as_json(data: Any) -> bytes:
     """Return values as the content of a JSON file."""
     return (json.dumps(data, indent=1) + "\n").encode()

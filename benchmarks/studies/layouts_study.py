@@ -358,6 +358,6 @@ QUESTIONS = {
     "dead": show_dead,
     "budgets": show_budgets,
 }
-TABLES = {
+TABLES = {  # of studies that have been run
     f"{study} {name}": partial(show, study) for study in COLLECTED for name, show in QUESTIONS.items()
 }

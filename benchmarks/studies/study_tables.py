@@ -231,9 +231,6 @@ def in_common(by_group: Sequence[BySeed]) -> tuple[list[int], Array]:
     return seeds, np.array([[scores[seed] for seed in seeds] for scores in by_group])
 
 
-# -- helpers -----------------------------------------------------------------------------
-
-
 def holm(pairs: Iterable[Pairs]) -> Sequence[float]:
     """Return p-values corrected for their number (Holm)."""
     return statistics.holm([pair.p_value for pair in pairs])

@@ -58,7 +58,7 @@ class DesignFlags:
     file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
     """Radius of your sensors, mm. With it, no two chosen ones overlap. Default: the
-    sensor's; else the hand's own, or that of the layout."""
+    sensor's, or that of the first scene; else the hand's own, or that of the layout."""
     margin: Annotated[float, "[0, 50]"] = 0.0
     """Smallest distance of a taxel from each edge of its segment, mm, so that a housing
     fits."""

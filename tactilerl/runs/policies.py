@@ -14,7 +14,7 @@ from .. import algos
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy
 from ..envs import validation
-from ..files import damage_named
+from ..files import damage_named, require_path
 from .config import RunConfig
 from .store import (
     RunDir,
@@ -48,7 +48,7 @@ def load_policy(path: str | Path) -> Policy:
     load: only tensors and plain values are read. Raises ValueError, one line, when
     there is no policy or its file is damaged.
     """
-    path = Path(path)
+    path = require_path(path, "path")
     if path.is_dir():
         return read_run(path).policy
     data = _read(path)
@@ -70,7 +70,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     Raises ValueError when `path` is no place for a file, or holds another one, and
     OSError when the disk is full.
     """
-    path = Path(path)
+    path = require_path(path, "path")
     if path.is_file():
         _read(path)  # ValueError where it is no policy
     state = learner.state_dict()

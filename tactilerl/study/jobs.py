@@ -145,7 +145,10 @@ def executor(
         from dask.distributed import Client
     connect: Any = Client  # which has no types
     with input_errors(f"--on {on}"):
-        client = connect(on.removeprefix(DASK))
+        try:
+            client = connect(on.removeprefix(DASK))
+        except TypeError as error:  # such as tls:// without certificates
+            raise InputError(str(error)) from error
     # It would log tracebacks of what is said below in one line.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client, interrupts_in_order():

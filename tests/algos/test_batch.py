@@ -243,6 +243,7 @@ def test_what_is_saved_of_a_run_holds_no_other_run(algo, config):
             moments = state[f"{part}_adam"]["state"].values()
             saved = [*state[part].values(), *(x for moment in moments for x in moment.values())]
             assert all(x.untyped_storage().nbytes() == x.nbytes for x in saved)
+            assert all(x.is_contiguous() for x in saved)  # Adam takes numbers as they lie
 
 
 def test_a_gradient_that_is_off_changes_nothing():

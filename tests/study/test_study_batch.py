@@ -55,7 +55,7 @@ def in_a_loop(monkeypatch, trained_here):
     monkeypatch.setattr(batch, "SPARE", 0.5)
 
 
-def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, capsys, monkeypatch):
+def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, capsys):
     out, study = tmp_path / "out", write(tmp_path, STUDY)
     args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "1"]
     assert main(args) == 0
@@ -183,7 +183,7 @@ def test_what_one_batch_cannot_train_is_one_line(tmp_path, in_a_loop, capsys):
     fails_with(capsys, args, "--ranks-per-run: found 2, allowed 1 with --on gpu")
 
 
-def test_without_a_gpu_nothing_is_written(tmp_path, capsys, monkeypatch):
+def test_without_a_gpu_nothing_is_written(tmp_path, capsys):
     args = ["study", "run", write(tmp_path, STUDY), "--out", tmp_path / "out", "--on", "gpu"]
     has_extra = shutil.which("nvidia-smi") or torch.cuda.is_available()
     if has_extra:
