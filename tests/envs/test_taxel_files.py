@@ -53,7 +53,7 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
         ("link,x,y,z,radius\na,-6,-3,0,1.5\n", "taxel 1.position: found -6.0, allowed [-1, 1]"),
         (
             "link,x,y\na,0,0\n",
-            "the row {'link': 'a', 'x': '0', 'y': '0'}, expected numbers as x, y",
+            "line 2: found {'link': 'a', 'x': '0', 'y': '0'}, expected numbers as x, y",
         ),
         ("x,y,z\n0,0,0\n", "taxel 1.link: found None, allowed a string"),
     ],
