@@ -57,8 +57,8 @@ def shared(config: GraspConfig) -> tuple[Any, ...]:
 class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
     """Many worlds of one scene, in groups that may differ in layout, touch and the taxels' faults.
 
-    Worlds of a group are consecutive. Observations are a dict of float32 tensors (n,
-    ...) on the device: ``observation``, each group's own at the front and zeros behind,
+    Worlds of a group are consecutive. Observations are a dict of float32 tensors
+    (n, ...) on the device: ``observation``, each group's own at the front and zeros behind,
     ``achieved_goal`` and ``desired_goal``. Rewards are float32, ends bool, (n,):
     tensors as well. In ``info``, each bool (n,) and NumPy's: ``is_success``;
     ``diverged``, as in `GraspEnv`, or because a world had no room for its contacts; and

@@ -154,8 +154,8 @@ class Workers:
         """Play in `n` processes, each in an environment of its own; they end when this one does.
 
         `make` and `set_up`, which each calls first, are pickled: functions of a module,
-        or `functools.partial` of them; a script that uses this needs its ``if __name__
-        == "__main__"``. What is raised there is raised here.
+        or `functools.partial` of them; a script that uses this needs its
+        ``if __name__ == "__main__"``. What is raised there is raised here.
         """
         # Never forks of this process, which would copy threads' locks and an MPI
         # process's connections. On Linux they are forks of a server that has imported

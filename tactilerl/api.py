@@ -177,8 +177,8 @@ def evaluate(
     returns an action, or an object with `predict`, such as a model of
     Stable-Baselines3. Returns `success_rate` (where the environment reports
     ``is_success``) and `mean_return`, their 95 % intervals `success_rate_ci` (Wilson)
-    and `mean_return_ci` (bootstrap), `mean_length` in steps and more, as ``tactilerl
-    evaluate --json`` does. `stochastic` keeps the exploration noise; for `env` and
+    and `mean_return_ci` (bootstrap), `mean_length` in steps and more, as
+    ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise; for `env` and
     `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
     validation.require_type(episodes, evaluation.EpisodeCount, "episodes")
@@ -198,10 +198,11 @@ def design(
 ) -> Layout:
     """Choose where a hand's taxels go, as ``tactilerl design`` does; a layout for ``make(layout=...)``.
 
-    Flags of the command are keywords, as in ``design(scene="handover", taxels=1,
-    only=("palm",))``. Of a range of numbers it is the layout with the most taxels, of a
-    budget the best that it buys. Raises ValueError, in one line, for an invalid flag,
-    and for scenes in which nothing is handed over.
+    Flags of the command are keywords, as in
+    ``design(scene="handover", taxels=1, only=("palm",))``. Of a range of numbers it is
+    the layout with the most taxels, of a budget the best that it buys. Raises
+    ValueError, in one line, for an invalid flag, and for scenes in which nothing is
+    handed over.
     """
     from .placement import choice
     from .placement.candidates import DesignFlags, Pool

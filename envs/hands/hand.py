@@ -39,8 +39,8 @@ class Surface:
 
     A link that is one capsule is the palmar half of a cylinder. One of other or several
     ``geoms`` is what is met when one comes from the palmar side. A flat palm is a
-    plane. All vectors are in the link's frame; the grid's origin is ``centre + radius *
-    palmar`` on a cylinder.
+    plane. All vectors are in the link's frame; the grid's origin is
+    ``centre + radius * palmar`` on a cylinder.
     """
 
     digit: str

@@ -51,8 +51,8 @@ class _CommandFlags:
     """Touch for the policy: on, as in training, or off (all taxels read zero); default:
     the run's."""
     json: bool = False
-    """Print JSON instead of a table, with what became of each episode: `render RUN
-    --episode N` films it."""
+    """Print JSON instead of a table, with what became of each episode:
+    `render RUN --episode N` films it."""
     record: Path | None = None
     """CSV file for every step of the episodes: what was observed, done and earned, in
     named columns."""

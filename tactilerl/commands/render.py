@@ -37,8 +37,8 @@ class RenderFlags:
     video: Path = Path("episodes.mp4")
     """File of the film."""
     episodes: Annotated[int, "[1, inf)"] = 3
-    """Number of episodes: the first ones that `evaluate` plays, with hold tests of 2
-    s."""
+    """Number of episodes: the first ones that `evaluate` plays, with hold tests
+    of 2 s."""
     episode: Annotated[int, "[0, inf)"] | None = None
     """Only this episode, by its number in `evaluate RUN --json`, as that plays it: with
     the whole hold test."""
