@@ -32,12 +32,13 @@ class Run:
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     on: str = "local"
     """Place where runs are trained: local; gpu, where runs that differ in layout,
-    touch, seed or numbers of the learner are one batch (extra: gpu); or dask:ADDRESS, a
-    scheduler of Dask (extra: cluster).
+    touch, seed or numbers of the learner are one batch (extra: gpu); dask:ADDRESS, the
+    workers of a scheduler of Dask (extra: cluster); or dask-gpu:ADDRESS, workers that
+    each train batches on a GPU.
     """
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained side by side; default: one per core. On a GPU: batches; default:
-    6."""
+    """Runs trained side by side; default: one per core. With gpu: batches; default: 6.
+    Dask's workers train one each."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
@@ -47,11 +48,11 @@ class Run:
         """Run `tactilerl study run FILE`."""
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
-        runs, is_gpu = study.runs(), self.on == "gpu"
+        runs, is_gpu = study.runs(), jobs.is_gpu(self.on)
         console.print(
             f"study {study.name}: {len(runs)} runs; trying what they begin with"
         )
-        if is_gpu:
+        if self.on == jobs.GPU:
             batch.require_device()
         jobs.check(files, runs)
         if is_gpu:
@@ -59,7 +60,7 @@ class Run:
             if not batches:
                 run, reason = others[0]
                 raise InputError(
-                    f"--on gpu: found no run for it ({run.name}: {reason}); leave out --on gpu"
+                    f"--on {self.on}: found no run for it ({run.name}: {reason}); leave out --on"
                 )
             for run, reason in others:
                 console.print(f"not on a GPU: {run.name}: {reason}")

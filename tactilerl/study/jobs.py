@@ -42,7 +42,7 @@ from .grid import Run
 from .records import StudyFiles
 
 ATTEMPTS = 2
-DASK = "dask:"
+LOCAL, GPU, DASK, DASK_GPU = "local", "gpu", "dask:", "dask-gpu:"
 SIDE_BY_SIDE = 6  # batches on a GPU: one alone waits for itself
 LOCK_WAIT = 0.5  # s; who only looks at a lock has it for an instant
 INTERRUPTED = 130, -signal.SIGINT, -signal.SIGTERM
@@ -120,6 +120,11 @@ def _try(run: Run, config: RunConfig) -> None:
         )
 
 
+def is_gpu(on: str) -> bool:
+    """Tell whether the place that `--on` names trains batches, on GPUs."""
+    return on == GPU or on.startswith(DASK_GPU)
+
+
 @contextmanager
 def executor(
     on: str, jobs: int | None, ranks: int
@@ -129,24 +134,29 @@ def executor(
     Raises InputError where it is not known or cannot be reached, or for flags that are
     another's.
     """
-    if not on.startswith(DASK) and on not in ("local", "gpu"):
-        raise InputError(f"--on: found {on!r}, allowed: local, gpu, dask:ADDRESS")
-    if on == "gpu" and ranks > 1:
-        raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 with --on gpu")
-    if on in ("local", "gpu"):
-        usual = SIDE_BY_SIDE if on == "gpu" else max(1, free_cores() // ranks)
+    if not on.startswith((DASK, DASK_GPU)) and on not in (LOCAL, GPU):
+        allowed = f"{LOCAL}, {GPU}, {DASK}ADDRESS, {DASK_GPU}ADDRESS"
+        raise InputError(f"--on: found {on!r}, allowed: {allowed}")
+    if is_gpu(on) and ranks > 1:
+        raise InputError(f"--ranks-per-run: found {ranks}, allowed 1 on a GPU")
+    if on in (LOCAL, GPU):
+        usual = SIDE_BY_SIDE if on == GPU else max(1, free_cores() // ranks)
         pool = concurrent.futures.ThreadPoolExecutor(jobs or usual)
         try:
             yield pool
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
         return
+    if jobs is not None:
+        raise InputError(
+            f"--jobs: found {jobs} with --on {on}, where each of Dask's workers has one"
+        )
     with extra("cluster"):
         from dask.distributed import Client
     connect: Any = Client  # which has no types
     with input_errors(f"--on {on}"):
         try:
-            client = connect(on.removeprefix(DASK))
+            client = connect(on.partition(":")[2])
         except TypeError as error:  # such as tls:// without certificates
             raise InputError(str(error)) from error
     # It would log tracebacks of what is said below in one line.

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from importlib.util import find_spec
 
 import pytest
 import torch
@@ -80,6 +81,23 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
         args = ["train", "--resume", run_dir, "--total-timesteps", "140", "--workers", "1"]
         fails_with(capsys, args, "anneals")
     capsys.readouterr()
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="no Dask")
+def test_a_worker_of_dask_trains_a_batch(tmp_path, in_a_loop, capsys):
+    import distributed
+
+    text = STUDY.partition("[setups.ddpg_her]")[0]
+    study, out = write(tmp_path, text), tmp_path / "out"
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        args = ["study", "run", study, "--out", out, "--on", f"dask-gpu:{cluster.scheduler_address}"]
+        assert main([*map(str, args)]) == 0
+        fails_with(capsys, [*args, "--jobs", "2"], "--jobs: found 2")
+    (log,) = (out / "runs").glob("*.log")
+    assert "batch mpl ppo: 4 runs" in log.read_text()
+    assert [one.state for one in records.load(out)[1]] == 4 * ["done"]
 
 
 @pytest.mark.slow
@@ -167,7 +185,7 @@ def test_bad_input_is_said_as_without_a_gpu(tmp_path, in_a_loop, capsys, flag, s
 def test_a_study_without_a_batch_is_refused(tmp_path, in_a_loop, capsys):
     study = write(tmp_path, "\n".join(['name = "toy"', "[setups.toy]", 'env = "lqr"']))
     args = ["study", "run", study, "--out", tmp_path / "out", "--on", "gpu"]
-    fails_with(capsys, args, "toy_s0: env: found lqr", "leave out --on gpu")
+    fails_with(capsys, args, "toy_s0: env: found lqr", "leave out --on")
     assert not (tmp_path / "out").exists()
 
 
@@ -180,7 +198,7 @@ def test_what_one_batch_cannot_train_is_one_line(tmp_path, in_a_loop, capsys):
     one, other = (next(n for n in names if n.startswith(kind)) for kind in ("ppo", "ddpg_her"))
     fails_with(capsys, [*train, one, other], "--batch: found 2 batches in these runs, allowed 1")
     args = ["study", "run", study, "--out", tmp_path / "new", "--on", "gpu", "--ranks-per-run", "2"]
-    fails_with(capsys, args, "--ranks-per-run: found 2, allowed 1 with --on gpu")
+    fails_with(capsys, args, "--ranks-per-run: found 2, allowed 1 on a GPU")
 
 
 def test_without_a_gpu_nothing_is_written(tmp_path, capsys):

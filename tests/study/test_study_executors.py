@@ -101,4 +101,4 @@ def test_a_scheduler_that_dies(tmp_path, capfd):
 
 def test_a_place_that_is_none(tmp_path, capsys):
     args = ["study", "run", write(tmp_path), "--out", tmp_path / "out", "--on", "moon"]
-    fails_with(capsys, args, "--on: found 'moon', allowed: local, gpu, dask:ADDRESS")
+    fails_with(capsys, args, "--on: found 'moon', allowed: local, gpu, dask:ADDRESS, dask-gpu:ADDRESS")
