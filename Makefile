@@ -36,14 +36,12 @@ $(TRAINING) $(DEVELOPMENT): setup.cfg pyproject.toml constraints.txt tools/insta
 
 # Two hands, the same but for touch, side by side on a core each. Goes on with runs that are there already.
 # xargs and not `&`: Ctrl-C reaches both, and either's failure is xargs'.
-TRAIN ?= --scene handover
+TRAIN ?= --scene handover --n-test-episodes 100
 train: export OMP_NUM_THREADS := 1
 train: $(TRAINING)
 	@printf '%s\n' "on touch" "off no_touch" | xargs -P 2 -L 1 bash -c 'set -o pipefail; \
 		$(BIN)/tactilerl train $(TRAIN) --touch $$0 --workers 1 --out "$(RUNS)/$$1" | \
 		while IFS= read -r line; do printf "%-8s  %s\n" "$$1" "$$line"; done'
-	$(BIN)/tactilerl evaluate $(RUNS)/touch
-	$(BIN)/tactilerl evaluate $(RUNS)/no_touch
 	@echo "This films the two hands:"
 	@echo "  $(BIN)/tactilerl render $(RUNS)/touch $(RUNS)/no_touch --video film.mp4"
 

@@ -30,7 +30,7 @@ def test_a_pytorch_that_brings_cuda_is_not_installed_unasked(monkeypatch):
 def test_make_train_trains_two_hands_side_by_side_and_fails_where_one_does(tmp_path):
     """In place of the command is one that notes what it is asked, and fails without touch."""
     noting = tmp_path / "tactilerl"
-    noting.write_text(f'#!/bin/sh\necho "$*" >> {tmp_path}/asked\necho heard\ntest "$5" = on\n')
+    noting.write_text(f'#!/bin/sh\necho "$*" >> {tmp_path}/asked\necho heard\ntest "$7" = on\n')
     noting.chmod(0o755)
     (tmp_path / "installed").touch()
     variables = f"BIN={tmp_path}", f"TRAINING={tmp_path}/installed", f"RUNS={tmp_path}"
@@ -39,6 +39,7 @@ def test_make_train_trains_two_hands_side_by_side_and_fails_where_one_does(tmp_p
     assert {"touch     heard", "no_touch  heard"} <= {*made.stdout.splitlines()}
     assert "This films" not in made.stdout
     _, asked = sorted((tmp_path / "asked").read_text().splitlines())
+    asked = asked.replace("--n-test-episodes 100", "--n-test-episodes 1")
     short = "--total-timesteps 1 --steps-per-epoch 1 --hidden 8 --n-passes 1"
     assert main(f"{asked} {short}".split()) == 0
     assert (tmp_path / "touch/checkpoint.pt").is_file()
