@@ -3,7 +3,7 @@
 Control steps a second of `handover_anywhere` with three hands, and one CPU core's; a hand that closes
 at the first touch, in the batch and in MuJoCo from the same starts, with the hold test; taxels in
 states of the batch, read by both; physics settings against MuJoCo at 1 ms; worlds that diverged or had
-no room.
+no room; Warp's deterministic option, whether a batch then repeats, and what it costs.
 What is in the file already is not measured again:
 
     python -m benchmarks batch --out docs/data/batch.json
@@ -67,6 +67,14 @@ def cpu_speed(hand: str, seconds: float = 3.0) -> dict[str, Any]:
     return {"steps_per_second": steps / (time.perf_counter() - start)}
 
 
+def physics_ms(env: BatchEnv) -> float:
+    """Measure how long the physics of a control step takes."""
+    start, n_substeps = time.perf_counter(), np.full(env.num_envs, env.config.n_substeps)
+    for _ in range(5):
+        env.simulator.step(env._targets, n_substeps)
+    return 200 * (time.perf_counter() - start)
+
+
 def speed(hand: str, device: str, n: int, steps: int = 40) -> dict[str, Any]:
     """Measure a batch's control steps a second; random actions, resets included."""
     start = time.perf_counter()
@@ -83,13 +91,32 @@ def speed(hand: str, device: str, n: int, steps: int = 40) -> dict[str, Any]:
     start = time.perf_counter()
     played = sum(step() for _ in range(steps))
     seconds = (time.perf_counter() - start) / steps
-    start, n_substeps = time.perf_counter(), np.full(n, env.config.n_substeps)
-    for _ in range(5):
-        env.simulator.step(env._targets, n_substeps)
-    physics = (time.perf_counter() - start) / 5
     row = {"worlds": n, "steps_per_second": n / seconds, "without_hold_tests": played / steps / seconds}
-    row |= {"step_ms": 1e3 * seconds, "physics_ms": 1e3 * physics, "start_s": made}
+    row |= {"step_ms": 1e3 * seconds, "physics_ms": physics_ms(env), "start_s": made}
     row |= {"diverged": env.n_diverged, "steps": n * (steps + 30)}
+    env.close()
+    return row
+
+
+def repeats(hand: str, device: str, n: int, steps: int = 40) -> dict[str, Any]:
+    """Play the same batch twice, without and with Warp's option; return its cost and what repeats.
+
+    The cost is of the physics alone.
+    """
+    row, env = {"worlds": n}, BatchEnv(hand, [(config(hand), n)], device, autoreset=False)
+    simulator: Any = env.simulator
+    for is_deterministic in (False, True):
+        simulator._model.opt.deterministic = is_deterministic
+        simulator._graphs.clear()
+        ends, name = [], "deterministic" if is_deterministic else "usual"
+        for _ in range(2):
+            rng = np.random.default_rng(0)
+            env.reset(seed=SEED)
+            for _ in range(steps):
+                env.step(rng.uniform(-0.5, 0.5, env.action_space.shape))
+            ends.append(simulator._now.qpos.cpu().numpy())
+        row[f"{name}_alike"] = float((ends[0] == ends[1]).all(1).mean())
+        row[f"{name}_ms"] = physics_ms(env)
     env.close()
     return row
 
@@ -255,6 +282,10 @@ def main() -> None:
             measures[f"one CPU core, {hand}"] = partial(cpu_speed, hand)
             worlds = options.worlds or WORLDS[hand]
             measures[f"speed, {hand}, {name}"] = partial(speed, hand, device, worlds)
+        if device != "loop":
+            worlds = options.worlds or WORLDS[hands[0]]
+            key = f"deterministic, {hands[0]}, {name}"
+            measures[key] = partial(repeats, hands[0], device, worlds)
         for hand in hands:
             if (key := f"success, {hand}, {name}") not in known:
                 plain = {
