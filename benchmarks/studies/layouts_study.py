@@ -122,18 +122,15 @@ def gain(of: Cells) -> dict[str, float]:
     return {**dict.fromkeys(layouts(of), 1 / len(layouts(of))), NONE: -1.0}
 
 
-def resampled(of: Cells) -> tuple[Array, Array]:
-    """Return means of cells from resampled seeds, and their squared standard errors.
-
-    Each is (resamples, set-ups, layouts and no touch).
-    """
+def resampled(of: Cells) -> Array:
+    """Return means of cells from resampled seeds, (resamples, set-ups, layouts and no touch)."""
     rng = np.random.default_rng(0)
-    drawn = [
-        [rng.choice(cell, (N_RESAMPLES, len(cell))) for cell in group.values()] for group in of.values()
-    ]
-    mean = np.array([[runs.mean(axis=1) for runs in group] for group in drawn])
-    square = np.array([[runs.var(axis=1, ddof=1) / runs.shape[1] for runs in group] for group in drawn])
-    return np.moveaxis(mean, -1, 0), np.moveaxis(square, -1, 0)
+
+    def drawn(cell: Array) -> Array:
+        return rng.choice(cell, (N_RESAMPLES, len(cell))).mean(axis=1)
+
+    values = [[drawn(cell) for cell in group.values()] for group in of.values()]
+    return np.moveaxis(np.array(values), -1, 0)
 
 
 def parts_of(of: Cells) -> dict[str, Cells]:
@@ -158,26 +155,16 @@ def show_touch(study: str) -> None:
 
 
 def differences(of: Cells) -> dict[tuple[str, str], Estimate]:
-    """Return each pair of layouts, averaged over set-ups, with intervals that hold for all at once.
+    """Return each pair of layouts, averaged over set-ups, with simultaneous 95 % intervals.
 
-    They reach as far as the largest |t| of any pair in 95 % of the studies from resampled seeds.
+    They are Tukey's, of each seed's mean over the set-ups.
     """
-    left, right = np.transpose([*itertools.combinations(range(len(layouts(of))), 2)])
-
-    def pairs(mean: Array, square: Array) -> tuple[Array, Array]:
-        """Return differences and standard errors (..., pairs) from (..., set-ups, cells)."""
-        level, variance = mean.mean(axis=-2), square.sum(axis=-2) / len(of) ** 2
-        error = np.sqrt(variance[..., left] + variance[..., right])
-        return level[..., left] - level[..., right], error
-
-    squares = [[cell.var(ddof=1) / len(cell) for cell in group.values()] for group in of.values()]
-    value, error = pairs(means(of), np.array(squares))
-    drawn, drawn_error = pairs(*resampled(of))
-    largest = (np.abs(drawn - value) / np.maximum(drawn_error, 1e-12)).max(axis=1)
-    reach = np.quantile(largest, 0.95) * error
-    found = np.transpose([value, value - reach, value + reach]).tolist()
-    names = itertools.combinations(layouts(of), 2)
-    return {pair: Estimate(*one) for pair, one in zip(names, found, strict=True)}
+    n, names = min(len(cell) for group in of.values() for cell in group.values()), layouts(of)
+    scores = np.array([[group[name][:n] for name in names] for group in of.values()]).mean(axis=0)
+    test = scipy.stats.tukey_hsd(*scores)
+    found = test.statistic, *test.confidence_interval()
+    pairs = itertools.combinations(range(len(names)), 2)
+    return {(names[i], names[j]): Estimate(*(float(each[i, j]) for each in found)) for i, j in pairs}
 
 
 def differ(pairs: dict[tuple[str, str], Estimate]) -> list[tuple[str, str]]:
@@ -227,7 +214,7 @@ def show_agreement(study: str) -> None:
     for hand in HANDS:
         both = {(learner, hand): of[learner, hand] for learner in LEARNERS if (learner, hand) in of}
         if len(both) == 2:
-            drawn = [rank_correlation(*sample[:, :-1]) for sample in resampled(both)[0]]
+            drawn = [rank_correlation(*sample[:, :-1]) for sample in resampled(both)]
             low, high = statistics.percentile_interval(np.array(drawn))
             value = Estimate(rank_correlation(*means(both)[:, :-1]), low, high)
             rows.append(
@@ -278,7 +265,7 @@ def show_predictors(study: str) -> None:
         if len(of) < 2:
             continue
         x = predictors([hand for _, hand in of], layouts(of))
-        y, drawn = means(of)[:, :-1], resampled(of)[0]
+        y, drawn = means(of)[:, :-1], resampled(of)
         for name, columns in {
             **{n: [i] for i, n in enumerate(PREDICTORS)},
             "all three": [0, 1, 2],
