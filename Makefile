@@ -68,7 +68,7 @@ lint: package
 	MYPYPATH=build/package $(BIN)/mypy examples
 
 # The trained policies that ship with the repository, from nothing; about ten core-minutes.
-# The lift's early hold verdict is for speed.
+# The lift's early hold verdict is for speed. Of its seeds 0 to 3, 1 learns best.
 define POLICY
 $(BIN)/tactilerl train $(2) --workers 1 --out build/policies/$(1)
 $(BIN)/python tools/ship_policy.py build/policies/$(1) examples/policies/$(1)
@@ -77,7 +77,7 @@ endef
 policies: $(TRAINING)
 	$(call POLICY,handover_touch,--scene handover --touch on)
 	$(call POLICY,handover_no_touch,--scene handover --touch off)
-	$(call POLICY,shadow_lift,--layout 4 --total-timesteps 36000 --hold-verdict settled)
+	$(call POLICY,shadow_lift,--layout 4 --seed 1 --total-timesteps 36000 --hold-verdict settled)
 
 # 15 to 30 minutes on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
 # is what the docs show of these.
