@@ -26,7 +26,8 @@ from tactilerl.study.report import p_value
 from benchmarks.command import DATA, data, markdown
 from benchmarks.studies.study_tables import drawn, estimate, load
 
-STUDIES = ("layouts", "layouts_pybullet")
+STUDIES: dict[str, tuple[str, ...]] = {"layouts": (), "layouts_pybullet": ("predictors",)}
+"""Studies, with the questions that each does not ask."""
 COLLECTED = [study for study in STUDIES if (DATA / f"{study}.tar.gz").is_file()]
 NONE = "no touch"
 LEARNERS, HANDS = ("ppo", "ddpg_her"), ("mpl", "shadow", "allegro")
@@ -44,6 +45,7 @@ def row(record: Record) -> dict[str, object]:
     run, scene = record.config["run"], record.config["scene"]
     tests = record.column("final_test_success_rate")
     return {
+        "seed": run["seed"],
         "setup": (run["algo"], run["env"]),
         "layout": title(scene["layout"]) if scene["touch"] == "on" else NONE,
         TEST: tests[np.isfinite(tests)][-1:].mean(),
@@ -68,8 +70,10 @@ def part(record: Record, begin: float, end: float = 1.0) -> float:
 
 @cache
 def runs(study: str) -> pd.DataFrame:
-    """Return the finished runs of a study."""
-    return pd.DataFrame([row(record) for record in load(study)[1] if record.is_finished])
+    """Return the runs of a study, of seeds whose runs are all finished."""
+    table = pd.DataFrame([row(record) for record in load(study)[1] if record.is_finished])
+    n_finished = table.groupby("seed")["seed"].transform("size")
+    return table[n_finished == n_finished.max()]
 
 
 def cells(study: str, score: str = TEST) -> Cells:
@@ -318,7 +322,15 @@ def show_budgets(study: str) -> None:
         added = estimate(contrast(of, gain(of))[0], "+.2f")
         alone = np.mean([len(differ(differences({s: group}))) for s, group in of.items()])
         correlation = rank_correlation(means(of)[:, :-1].mean(axis=0), last)
-        rows.append((name, added, f"{alone:.1f}", len(differ(differences(of))), f"{correlation:.2f}"))
+        rows.append(
+            (
+                name,
+                added,
+                f"{alone:.1f}",
+                len(differ(differences(of))),
+                f"{correlation:.2f}".replace("-", "−"),
+            )
+        )
     head = "| score | touch − no touch | pairs that differ in a set-up | pooled |"
     markdown(f"{head} rank correlation with the last test |", rows)
 
@@ -346,5 +358,8 @@ QUESTIONS = {
     "budgets": show_budgets,
 }
 TABLES = {  # of studies that have been run
-    f"{study} {name}": partial(show, study) for study in COLLECTED for name, show in QUESTIONS.items()
+    f"{study} {name}": partial(show, study)
+    for study in COLLECTED
+    for name, show in QUESTIONS.items()
+    if name not in STUDIES[study]
 }

@@ -283,6 +283,7 @@ def drawn(levels: dict[str, Sequence[Estimate]], names: list[str], colours: Sequ
         axes.errorbar(means, places, xerr=(means - low, high - means), **shown)
     axes.set_yticks(rows, names)
     axes.invert_yaxis()
+    axes.margins(y=0.1)
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=5)
     return figure
