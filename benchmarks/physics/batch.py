@@ -114,7 +114,7 @@ def repeats(hand: str, device: str, n: int, steps: int = 40) -> dict[str, Any]:
             env.reset(seed=SEED)
             for _ in range(steps):
                 env.step(rng.uniform(-0.5, 0.5, env.action_space.shape))
-            ends.append(simulator._now.qpos.cpu().numpy())
+            ends.append(simulator._now.qpos.cpu().numpy().copy())
         row[f"{name}_alike"] = float((ends[0] == ends[1]).all(1).mean())
         row[f"{name}_ms"] = physics_ms(env)
     env.close()
