@@ -1,6 +1,7 @@
 """The tables of the study of layouts find what made-up runs were given, and nothing else."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -38,6 +39,17 @@ def test_pairs_differ_where_they_do(made_up):
     gain, p = study.contrast(of, study.gain(of))
     assert gain.low < 0.7 - 0.1 / 8 - 0.2 < gain.high
     assert p < 1e-6
+
+
+def test_a_seed_with_a_run_that_was_cut_off_is_left_out(monkeypatch):
+    whole, records = study.load("layouts_pybullet")
+    one = next(record for record in records if record.run.seed == 1)
+    cut = [replace(each, state="interrupted") if each is one else each for each in records]
+    monkeypatch.setattr(study, "load", lambda name: (whole, cut))
+    uncached = study.runs.__wrapped__
+    n_left = len(uncached("layouts_pybullet"))
+    monkeypatch.undo()
+    assert n_left == len(uncached("layouts_pybullet")) - 10
 
 
 def test_few_are_as_good_only_within_the_margin(made_up, capsys):
