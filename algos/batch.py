@@ -31,9 +31,10 @@ from .ddpg_her import DDPGHER, VIEW, Exploration, tested
 from .normalizer import Scaling
 from .policy import OBS, SEEN, Noise, finite
 from .ppo import PPO, ActorLoss, GaussianNoise, Transitions, surrogate
-from .replay import Batch, Relabelled
+from .replay import Batch, Relabelled, minibatches
 from .rollout import REWARD, Episode, Key, summary
 
+MORE_SLOTS = 32  # of episodes, by which the memory of a batch grows
 BETAS, EPS = (0.9, 0.999), 1e-8  # Adam's
 MOMENTS = ("exp_avg", "exp_avg_sq")  # their names in the state of PyTorch's Adam
 Rows = dict[int, dict[str, float]]  # of the progress table, by run
@@ -503,8 +504,11 @@ class BatchDDPGHER(BatchLearner):
         whole.target_actor, whole.target_critic = targets
         whole.actor_parameters = self.actor.parameters()
         whole.critic_parameters = self.critic.parameters()
-        n_steps = singles[0].replay.max_steps + 1
-        shape = len(singles), 32, n_steps, self.width + self.n_actions
+        replay, longest = singles[0].replay, max(one.total_timesteps for one in singles)
+        # Room for episodes of half their longest on average; more is added as it is
+        # needed.
+        n_slots = min(replay.n_slots, 2 * longest // replay.max_steps + MORE_SLOTS)
+        shape = len(singles), n_slots, replay.max_steps + 1, self.width + self.n_actions
         self.memory = torch.zeros(shape, device=self.device)  # observations and actions
         for i, one in enumerate(singles):
             self._memorize(i, np.arange(one.replay.n_episodes))
@@ -518,7 +522,7 @@ class BatchDDPGHER(BatchLearner):
     def _memorize(self, i: int, slots: Array) -> None:
         """Copy episodes of a run's replay to the device."""
         while max(slots, default=0) >= self.memory.shape[1]:
-            more = torch.zeros_like(self.memory)
+            more = torch.zeros_like(self.memory[:, :MORE_SLOTS])
             self.memory = torch.cat([self.memory, more], dim=1)
         rows = torch.from_numpy(self.learners[i].replay.episodes(slots))
         self.memory[i, slots, :, self.pads[i] :] = rows.to(self.device)
@@ -546,13 +550,16 @@ class BatchDDPGHER(BatchLearner):
         for name in ("unit", "lowest", "highest"):
             values = (getattr(one.reward_scale, name) for one in singles)
             setattr(scale, name, self.numbers(values))
-        means = whole.learn(self._batch(drawn)) / n
+        means = whole.learn(self._minibatches(drawn)) / n
         means[2] *= scale.unit[:, 0]
         rows = self.checked(("critic_loss", "actor_loss", "mean_q"), means)
         return {i: {**row, "updates": n} for i, row in rows.items()}
 
-    def _batch(self, drawn: Mapping[int, Relabelled]) -> Batch:
-        """Return drawn transitions (E, n, ...); of runs that are off, any."""
+    def _minibatches(self, drawn: Mapping[int, Relabelled]) -> Iterator[Batch]:
+        """Yield drawn transitions (E, batch_size, ...); of runs that are off, any.
+
+        One after the other, since all of a large batch would fill a GPU's memory.
+        """
         each = [drawn.get(i, drawn[self.on[0]]) for i in range(len(self.learners))]
         one = Relabelled(
             *(
@@ -560,13 +567,14 @@ class BatchDDPGHER(BatchLearner):
                 for part in zip(*each, strict=True)
             )
         )
-        now, then = (self.memory[self.e, one.slot, one.step + k] for k in (0, 1))
-        obs, next_obs = (
-            self.scale(torch.cat([rows[..., : self.width], one.goal], dim=-1))
-            for rows in (now, then)
-        )
-        action = now[..., self.width :]
-        return Batch(obs, one.goal, action, one.reward, next_obs, one.terminal)
+        for part in minibatches(one, self.config.batch_size, axis=1):
+            now, then = (self.memory[self.e, part.slot, part.step + k] for k in (0, 1))
+            obs, next_obs = (
+                self.scale(torch.cat([rows[..., : self.width], part.goal], dim=-1))
+                for rows in (now, then)
+            )
+            action = now[..., self.width :]
+            yield Batch(obs, part.goal, action, part.reward, next_obs, part.terminal)
 
 
 BATCHED: dict[type, type[Any]] = {PPO: BatchPPO, DDPGHER: BatchDDPGHER}

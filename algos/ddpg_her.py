@@ -44,7 +44,7 @@ from .policy import (
     new_actor,
     on_cpu,
 )
-from .replay import Batch, Replay
+from .replay import Batch, Replay, minibatches
 from .rollout import (
     Episode,
     PlayEpisode,
@@ -397,7 +397,7 @@ class DDPGHER(Learner):
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
         self.rescale(drawn.reward)  # and widen the bounds of targets
-        sums = self.learn(self._as_inputs(drawn))
+        sums = self.learn(minibatches(self._as_inputs(drawn), config.batch_size))
         self.updates += n
         over_ranks = self.comm.sum((sums / n).cpu().double().numpy())
         critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
@@ -409,18 +409,16 @@ class DDPGHER(Learner):
             "updates": n,
         }
 
-    def learn(self, batch: Batch) -> Tensor:
-        """Take an Adam step on each minibatch of transitions (..., n), and move the target networks.
+    def learn(self, batches: Iterable[Batch]) -> Tensor:
+        """Take an Adam step on each of `n_batches` minibatches, and move the target networks.
 
         Returns the sums of what `_update_networks` does.
         """
         config, n = self.config, self.config.n_batches
-        axis = batch.reward.ndim - 1  # that of transitions
-        parts = (part.split(config.batch_size, dim=axis) for part in batch)
         sums: Any = 0.0
         with flushed_denormals():
-            for i, minibatch in enumerate(zip(*parts, strict=True), start=1):
-                sums += self._update_networks(Batch(*minibatch))
+            for i, batch in enumerate(batches, start=1):
+                sums += self._update_networks(batch)
                 if i % (config.target_update_interval or n) == 0 or i == n:
                     self._move_targets()
         return sums  # type: ignore[no-any-return]

@@ -552,7 +552,10 @@ class PPO(Learner):
         # An episode has one more observation than transitions: the last, after which
         # nothing is done.
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
-        values = [self.critic(seen).squeeze(-1).cpu().double().numpy() for seen in obs]
+        # By episode, or at once on a GPU, which waits for every answer.
+        stacks = obs if self.device.type == "cpu" else [torch.cat(obs)]
+        predicted = [self.critic(seen).squeeze(-1).cpu().double() for seen in stacks]
+        values = [x.numpy() for x in torch.cat(predicted).split([*map(len, obs)])]
         acted_on = torch.cat([seen[:-1] for seen in obs])
         taken = np.concatenate([np.stack(e.actions) for e in self.episodes])
         columns = (taken, *self._targets(values))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +41,12 @@ class Relabelled(NamedTuple):
     goal: Any
     reward: Any
     terminal: Any
+
+
+def minibatches(drawn: Any, size: int, axis: int = 0) -> Iterator[Any]:
+    """Yield named tuples of tensors like `drawn`, with `size` transitions each along an axis."""
+    parts = (part.split(size, dim=axis) for part in drawn)
+    return map(type(drawn)._make, zip(*parts, strict=True))
 
 
 class Replay:

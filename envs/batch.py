@@ -8,12 +8,14 @@ of physics.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import is_dataclass, replace
 from functools import cache, partial
 from importlib.util import find_spec
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -93,8 +95,9 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             allowed = ", ".join(sorted(BY_GROUP))
             raise ValueError(f"groups: found scenes that differ, allowed in: {allowed}")
         self.num_envs = n = sum(sizes)
-        make = cache(GraspEnv)  # groups that differ in nothing share one
-        self.singles = [make(hand, _without_idle_seed(config)) for config in configs]
+        make, named = cache(GraspEnv), dict[bytes, str]()
+        # Groups that differ in nothing share one.
+        self.singles = [make(hand, _alike(config, named)) for config in configs]
         """The environment of each group, which plays a world of it alone."""
         single = self.singles[0]
         self.config, self.hand, self.task = single.config, single.hand, single.task
@@ -298,10 +301,19 @@ def require(device: str) -> None:
         )
 
 
-def _without_idle_seed(config: GraspConfig) -> GraspConfig:
-    """Return a scene without the seed of its hand where hands do not differ."""
-    is_needed = any(getattr(config, name) for name in OF_HAND)
-    return config if is_needed else replace(config, hand_seed=None)
+def _alike(config: GraspConfig, named: dict[bytes, str]) -> GraspConfig:
+    """Write a scene as all others are written that mean the same.
+
+    That is without the seed of its hand where hands do not differ. Of files of taxels
+    with the same content, as each run has one, it has the name of the first, kept in
+    `named`.
+    """
+    if not any(getattr(config, name) for name in OF_HAND):
+        config = replace(config, hand_seed=None)
+    if os.path.isfile(config.layout):
+        content = Path(config.layout).read_bytes()
+        config = replace(config, layout=named.setdefault(content, config.layout))
+    return config
 
 
 def _converted(part: Any, tensor: Callable[[Any], Tensor]) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+import sys
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -29,6 +30,15 @@ def free_cores(local_ranks: int = 1) -> int:
     from joblib import cpu_count  # slow to import
 
     return max(1, min(cpu_count(), (os.cpu_count() or 1) // local_ranks))
+
+
+def allow_open_files() -> None:
+    """Let this process open as many files as its user may: a batch holds one for each run."""
+    if sys.platform == "linux":
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def origin() -> dict[str, Any]:

@@ -23,9 +23,9 @@ from . import Scene
 from .batch import BatchSimulator
 from .mujoco import GIVERS_GROUP, MujocoSimulator
 
-MAX_CONTACTS = 32  # of hand and object in a world
-# Room of a world: its contacts, and rows of constraints.
+# Contacts of a world on average, for which all worlds share the room, and rows of constraints of each.
 N_CONTACTS, N_ROWS = 48, 160
+MAX_CONTACTS = N_ROWS // 4  # of hand and object in a world: each has four rows
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places
 BY_WORLD = (
     "geom_size", "geom_rbound", "geom_aabb", "geom_friction", "body_mass", "body_inertia",
@@ -134,7 +134,7 @@ class WarpSimulator(BatchSimulator):
         """Launch the timesteps; a world that has had its own is put back to there."""
         now, done, finished = self._now, 0, []
         now.ctrl[:, self.plain._ctrl] = self.tensor(targets)
-        moving = now.qpos, now.qvel, now.act, now.qacc_warmstart
+        moving = now.qpos, now.qvel, now.act, now.qacc_warmstart, now.overflow
         for number in np.unique(n_substeps):
             for _ in range(number - done):
                 self._run(mujoco_warp.step)

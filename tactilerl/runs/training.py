@@ -116,14 +116,19 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
     return run_dir.path
 
 
+def take(run_dir: RunDir, config: RunConfig, held: ExitStack) -> None:
+    """Make the folder of a run, if need be, and hold its lock; InputError where it is another's."""
+    run_dir.create()
+    held.enter_context(locked(run_dir.path))
+    run_dir.settled(config)  # another process may have begun it meanwhile
+
+
 @contextmanager
 def writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[None]:
     """Hold the run folder on rank 0; what ends the run says that its last checkpoint stays."""
     with ExitStack() as held:
         if comm.rank == 0:
-            run_dir.create()
-            held.enter_context(locked(run_dir.path))
-            run_dir.settled(config)  # another process may have begun it meanwhile
+            take(run_dir, config, held)
         held.enter_context(interrupts_in_order())
         try:
             yield

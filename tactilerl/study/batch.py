@@ -24,7 +24,8 @@ from ..algos import batch as learners
 from ..algos.mpi import Communicator
 from ..envs import tasks, vector
 from ..envs.batch import BatchEnv, require, shared
-from ..errors import InputError, input_errors
+from ..errors import BUSY, InputError, input_errors
+from ..machine import allow_open_files
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
@@ -34,6 +35,9 @@ from .records import StudyFiles
 
 DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
 MAX_WORLDS = 16_384  # of a batch
+MAX_REPLAY = 16e9  # bytes of a batch, which has all episodes on the GPU
+STEP_BYTES = 2_500  # of a step with 139 taxels at four times
+NO_MEMORY = "out of memory", "Failed to allocate"  # in the errors of PyTorch and Warp
 SAVE_EVERY = 60.0  # s
 SPARE = 1.25  # worlds for episodes that end early
 
@@ -66,12 +70,21 @@ def form(runs: Sequence[Run]) -> tuple[list[tuple[Run, ...]], list[tuple[Run, st
         except ValueError as error:
             others.append((run, str(error)))
     batches = [
-        (*members[i : i + size],)
+        (*part,)
         for members in groups.values()
-        for size in [max(1, MAX_WORLDS // n_worlds(members[0].config()))]
-        for i in range(0, len(members), size)
+        for part in np.array_split(np.array(members, object), _n_batches(members))
     ]
     return batches, others
+
+
+def _n_batches(runs: Sequence[Run]) -> int:
+    """Return how many batches these runs make that have room for them."""
+    config, kept = runs[0].config(), 0
+    if hasattr(config.learner, "buffer_size"):
+        longest = max(run.config().run.total_timesteps for run in runs)
+        kept = min(2 * longest, config.learner.buffer_size)
+    shares = n_worlds(config) / MAX_WORLDS, kept * STEP_BYTES / MAX_REPLAY
+    return math.ceil(len(runs) * max(shares))
 
 
 def _common(config: RunConfig) -> Any:
@@ -97,8 +110,18 @@ def train(files: StudyFiles, runs: Sequence[Run]) -> int:
         raise InputError(
             f"--batch: found {len(batches)} batches in these runs, allowed 1"
         )
+    allow_open_files()  # a lock for each run
     with ExitStack() as held:
-        return _Training(files, batches[0], held).train()
+        try:
+            return _Training(files, batches[0], held).train()
+        except (RuntimeError, InputError) as error:
+            if not any(sign in str(error) for sign in NO_MEMORY):
+                raise
+            console.print(
+                f"a batch has stopped: {str(error)[:100]}; run the study again with fewer batches at a "
+                "time (--jobs 1)"
+            )
+            return BUSY
 
 
 @dataclass
@@ -121,7 +144,7 @@ class _Training:
         for run in runs:
             run_dir = files.run_dir(run)
             config = run_dir.settled(run.config().choose({"out": str(run_dir.path)}))
-            held.enter_context(training.writing(run_dir, config, alone))
+            training.take(run_dir, config, held)
             configs.append(config)
         first, n = configs[0], n_worlds(configs[0])
         self.name = f"{Path(first.run.env).stem} {first.run.algo}"
@@ -170,7 +193,7 @@ class _Training:
         finals = learner.play_best(dict.fromkeys(ended, key), n_tests)
         # A run's share of the batch's time, so that the sum over runs is what was
         # spent.
-        shares = [each / len(singles) for each in seconds]
+        shares = [each / len(before) for each in seconds]
         latest = list[training.Row]()
         for i in played:
             one, steps = self.members[i], singles[i].env_steps

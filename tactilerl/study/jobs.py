@@ -34,7 +34,7 @@ from ..errors import (
     input_errors,
     interrupts_in_order,
 )
-from ..machine import free_cores
+from ..machine import allow_open_files, free_cores
 from ..runs.config import RunConfig
 from ..runs.store import RunDir
 from ..runs.training import make_algorithm
@@ -195,6 +195,7 @@ def make_done(job: Job) -> None:
     What has ended, or what another process trains, is left as it is.
     """
     files, runs = StudyFiles(job.folder), list[Run]()
+    allow_open_files()  # a lock for each run of all batches here
     with ExitStack() as held:
         for run in job.runs:
             with suppress(filelock.Timeout):

@@ -5,7 +5,8 @@ the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
 runs/NAME.json            why the run failed, if it did runs/NAME.log .lock       what
 it printed; held by the `study run` that trains it
 
-A run is done when its table is as long as was asked for. So folders of runs can be
+A run is done when its table is as long as was asked for, and its checkpoint, where there is one, as
+long as its table. So folders of runs can be
 copied from one study to another, with rsync for example. A packed file has the JSON and
 CSV files of all runs.
 """
@@ -129,6 +130,7 @@ class StudyFiles:
                     planned = config["run"]["total_timesteps"]
                     planned = run.flags.get("total_timesteps", planned)
                     is_done = bool(rows) and rows[-1]["env_steps"] >= planned
+                    is_done = is_done and self._is_saved(run, rows[-1]["epoch"])
         except InputError as error:
             problem = str(error)
         state: State = "interrupted" if config or problem else "left"
@@ -139,6 +141,21 @@ class StudyFiles:
         elif self._is_running(run):
             state = "running"
         return Record(run, state, failure or problem, config, rows)
+
+    def _is_saved(self, run: Run, epoch: float) -> bool:
+        """Return whether the checkpoint, where there is one, is that of the table's last epoch.
+
+        A run may be cut off after it has written to its table, and before its
+        checkpoint.
+        """
+        run_dir = self.run_dir(run)
+        try:
+            saved = run_dir.checkpoint_file.stat().st_mtime_ns
+            if saved >= run_dir.table.stat().st_mtime_ns:
+                return True
+        except OSError:  # a packed study, or records that came without
+            return True
+        return bool(run_dir.read_checkpoint()["epoch"] >= epoch)
 
     def _is_running(self, run: Run) -> bool:
         """Return whether a `study run`, here or elsewhere, trains it right now."""

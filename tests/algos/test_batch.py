@@ -144,6 +144,8 @@ def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worl
     make = [(algo, one, seed, n) for one, seed, n in zip(configs, (5, 6, 7), seen, strict=True)]
     alone, learners = ([single(*args) for args in make] for _ in range(2))
     many = batch.BATCHED[type(learners[0])](learners, PointBatch(seen, worlds))
+    if algo == "ddpg_her":
+        many.memory = many.memory[:, :1]  # grows
     for _ in range(5):
         expected = [rows_of(one) for one in alone]
         collected, updated = many.collect(), many.update()

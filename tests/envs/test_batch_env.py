@@ -16,6 +16,7 @@ from tactilerl.envs import tasks
 from tactilerl.envs.batch import BatchEnv
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 
+CHOSEN = Path(__file__).parents[2] / "docs/data/chosen/mpl_touch_8.toml"
 NOISY = dict(object_seen="noisy", joint_noise=0.02, joint_noise_held=0.05, slide_noise=0.001)
 FAULTS = dict(
     taxel_false_on=0.02,
@@ -241,6 +242,18 @@ def test_by_name() -> None:
     if not torch.cuda.is_available():
         with pytest.raises((ValueError, ImportError), match=r"found no (GPU|MuJoCo Warp)"):
             tactilerl.make_vec("mpl", simulator="mujoco")
+
+
+def test_copies_of_a_layout_are_one(tmp_path: Path) -> None:
+    """As the runs of a study have them, once they have begun."""
+    text = CHOSEN.read_text()
+    groups = []
+    for name in ("a", "b", "c"):
+        (file := tmp_path / f"{name}.toml").write_text(text if name < "c" else text + "# another\n")
+        groups.append((config("mpl", layout=str(file)), 1))
+    batch = BatchEnv("mpl", groups, "loop")
+    assert batch.singles[0] is batch.singles[1] is not batch.singles[2]
+    batch.close()
 
 
 @pytest.mark.slow

@@ -162,6 +162,38 @@ def test_a_batch_that_is_interrupted_says_how_to_go_on(tmp_path, in_a_loop, monk
     assert "interrupted: 6; run the same command to go on" in capsys.readouterr().out
 
 
+def test_a_full_gpu_leaves_runs_to_go_on(tmp_path, in_a_loop, monkeypatch, capsys):
+    def is_full(*_, **__):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 9 GiB")
+
+    study = write(tmp_path, STUDY.partition("[setups.ddpg_her]")[0])
+    args = ["study", "run", str(study), "--out", str(tmp_path / "out"), "--on", "gpu", "--jobs", "1"]
+    for where, name in ((batch, "BatchEnv"), (batch.BatchEnv, "step")):
+        with monkeypatch.context() as patch:
+            patch.setattr(where, name, is_full)
+            assert main(args) == 1
+        assert "interrupted: 4; run the same command to go on" in capsys.readouterr().out
+    assert (
+        "a batch has stopped: CUDA out of memory"
+        in next((tmp_path / "out/runs").glob("*.log")).read_text()
+    )
+    assert main(args) == 0
+
+
+def test_batches_have_room_and_are_of_one_size(tmp_path, monkeypatch):
+    runs = grid.read(write(tmp_path, STUDY.partition("[setups.bullet]")[0])).runs()
+
+    def sizes():
+        return [len(one) for one in batch.form(runs)[0]]
+
+    assert sizes() == [4, 2]
+    worlds = batch.n_worlds(runs[0].config())
+    monkeypatch.setattr(batch, "MAX_WORLDS", 3 * worlds)
+    assert sizes() == [2, 2, 2]
+    monkeypatch.setattr(batch, "MAX_REPLAY", 200 * batch.STEP_BYTES)  # twice the steps of one run
+    assert sizes() == [2, 2, 1, 1]
+
+
 @pytest.mark.parametrize(
     ("flag", "said"),
     [

@@ -16,6 +16,7 @@ import psutil
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
+from tactilerl.runs.store import Checkpoint
 from tactilerl.study import grid, jobs, records
 from tactilerl.study.records import StudyFiles
 
@@ -88,6 +89,28 @@ class TestRun:
         shutil.rmtree(copied.run_dir(run).path)
         args = ["study", "train", str(copied.path), run.name]
         assert main(args) == main(args) == 0
+        assert learned(copied.path) == learned(undisturbed)
+
+    def test_a_run_that_is_cut_off_before_its_last_checkpoint_goes_on(
+        self, undisturbed, copied, trained_here, tmp_path, monkeypatch
+    ):
+        """Its table has come to its end by then."""
+        run = copied.study().runs()[0]
+        shutil.rmtree(copied.run_dir(run).path)
+        args = ["study", "run", str(write(tmp_path)), "--out", str(copied.path), "--jobs", "1"]
+        save = Checkpoint.save
+
+        def dies(self, epoch):
+            if self.learner.env_steps >= self.learner.total_timesteps:
+                raise KeyboardInterrupt
+            save(self, epoch)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Checkpoint, "save", dies)
+            assert main(args) == 1
+        assert len(copied.run_dir(run).rows()) == len(StudyFiles(undisturbed).run_dir(run).rows())
+        assert copied.record(run).state == "interrupted"
+        assert main(args) == 0
         assert learned(copied.path) == learned(undisturbed)
 
 
