@@ -554,8 +554,8 @@ class PPO(Learner):
         obs = [inputs.stack(e.obs).to(self.device) for e in self.episodes]
         # By episode, or at once on a GPU, which waits for every answer.
         stacks = obs if self.device.type == "cpu" else [torch.cat(obs)]
-        predicted = [self.critic(seen).squeeze(-1).cpu().double() for seen in stacks]
-        values = [x.numpy() for x in torch.cat(predicted).split([*map(len, obs)])]
+        found = [self.critic(seen).squeeze(-1).cpu().double() for seen in stacks]
+        values = np.split(torch.cat(found).numpy(), np.cumsum([*map(len, obs)])[:-1])
         acted_on = torch.cat([seen[:-1] for seen in obs])
         taken = np.concatenate([np.stack(e.actions) for e in self.episodes])
         columns = (taken, *self._targets(values))
