@@ -33,7 +33,7 @@ def free_cores(local_ranks: int = 1) -> int:
 
 
 def allow_open_files() -> None:
-    """Let this process open as many files as its user may: a batch holds one for each run."""
+    """Let this process, and those that it starts, open as many files as the user may; Linux only."""
     if sys.platform == "linux":
         import resource
 

@@ -23,7 +23,7 @@ from . import Scene
 from .batch import BatchSimulator
 from .mujoco import GIVERS_GROUP, MujocoSimulator
 
-# Contacts of a world on average, for which all worlds share the room, and rows of constraints of each.
+# Room for contacts, of a world on average (all share it), and each world's rows of constraints.
 N_CONTACTS, N_ROWS = 48, 160
 MAX_CONTACTS = N_ROWS // 4  # of hand and object in a world: each has four rows
 NO_ROOM = 0b11111  # of `mujoco_warp.OverflowType`: constraints, their entries, and contacts in 3 places

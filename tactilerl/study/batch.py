@@ -25,7 +25,6 @@ from ..algos.mpi import Communicator
 from ..envs import tasks, vector
 from ..envs.batch import BatchEnv, require, shared
 from ..errors import BUSY, InputError, input_errors
-from ..machine import allow_open_files
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
@@ -35,7 +34,7 @@ from .records import StudyFiles
 
 DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
 MAX_WORLDS = 16_384  # of a batch
-MAX_REPLAY = 16e9  # bytes of a batch, which has all episodes on the GPU
+MAX_REPLAY = 16_000_000_000  # bytes of a batch, which has all episodes on the GPU
 STEP_BYTES = 2_500  # of a step with 139 taxels at four times
 NO_MEMORY = "out of memory", "Failed to allocate"  # in the errors of PyTorch and Warp
 SAVE_EVERY = 60.0  # s
@@ -69,22 +68,23 @@ def form(runs: Sequence[Run]) -> tuple[list[tuple[Run, ...]], list[tuple[Run, st
             groups[_common(run.config())].append(run)
         except ValueError as error:
             others.append((run, str(error)))
-    batches = [
-        (*part,)
-        for members in groups.values()
-        for part in np.array_split(np.array(members, object), _n_batches(members))
-    ]
+    batches = list[tuple[Run, ...]]()
+    for members in groups.values():
+        n_batches = math.ceil(len(members) / _room(members))
+        parts = np.array_split(np.array(members, object), n_batches)  # of one size
+        batches += [(*part,) for part in parts]
     return batches, others
 
 
-def _n_batches(runs: Sequence[Run]) -> int:
-    """Return how many batches these runs make that have room for them."""
-    config, kept = runs[0].config(), 0
+def _room(runs: Sequence[Run]) -> int:
+    """Return how many of these runs a batch has room for."""
+    config = runs[0].config()
+    room = MAX_WORLDS // n_worlds(config)
     if hasattr(config.learner, "buffer_size"):
         longest = max(run.config().run.total_timesteps for run in runs)
         kept = min(2 * longest, config.learner.buffer_size)
-    shares = n_worlds(config) / MAX_WORLDS, kept * STEP_BYTES / MAX_REPLAY
-    return math.ceil(len(runs) * max(shares))
+        room = min(room, MAX_REPLAY // (kept * STEP_BYTES))
+    return max(1, room)
 
 
 def _common(config: RunConfig) -> Any:
@@ -110,7 +110,6 @@ def train(files: StudyFiles, runs: Sequence[Run]) -> int:
         raise InputError(
             f"--batch: found {len(batches)} batches in these runs, allowed 1"
         )
-    allow_open_files()  # a lock for each run
     with ExitStack() as held:
         try:
             return _Training(files, batches[0], held).train()

@@ -195,7 +195,7 @@ def make_done(job: Job) -> None:
     What has ended, or what another process trains, is left as it is.
     """
     files, runs = StudyFiles(job.folder), list[Run]()
-    allow_open_files()  # a lock for each run of all batches here
+    allow_open_files()  # a lock for each run, here and in its own process
     with ExitStack() as held:
         for run in job.runs:
             with suppress(filelock.Timeout):

@@ -5,10 +5,10 @@ the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
 runs/NAME.json            why the run failed, if it did runs/NAME.log .lock       what
 it printed; held by the `study run` that trains it
 
-A run is done when its table is as long as was asked for, and its checkpoint, where there is one, as
-long as its table. So folders of runs can be
-copied from one study to another, with rsync for example. A packed file has the JSON and
-CSV files of all runs.
+A run is done when its table is as long as was asked for, and its checkpoint, where
+there is one, is that of the table's last row. So folders of runs can be copied from one
+study to another, with rsync for example. A packed file has the JSON and CSV files of
+all runs.
 """
 
 from __future__ import annotations

@@ -192,6 +192,9 @@ def test_batches_have_room_and_are_of_one_size(tmp_path, monkeypatch):
     assert sizes() == [2, 2, 2]
     monkeypatch.setattr(batch, "MAX_REPLAY", 200 * batch.STEP_BYTES)  # twice the steps of one run
     assert sizes() == [2, 2, 1, 1]
+    for n in (0.5, 1.7, 2.5, 3.5):  # what one batch trains is one batch
+        monkeypatch.setattr(batch, "MAX_WORLDS", int(n * worlds))
+        assert all(len(batch.form(one)[0]) == 1 for one in batch.form(runs)[0])
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from tactilerl.study import grid, jobs, records
 from tactilerl.study.records import StudyFiles
 
 from one_line import fails_with, printed
+from study_records import interrupt, make_study
 from tiny_study import TINY, learned, trained, write
 
 CHOSEN = Path(__file__).resolve().parents[2] / "docs/data/chosen"
@@ -186,6 +187,25 @@ class TestFailures:
         assert [one.state for one in records.load(copied.path)[1]] == ["interrupted", "failed"]
         fails_with(capsys, args, "config.json: not a run's configuration")
         assert first.checkpoint_file.exists()
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="Linux only")
+    def test_a_batch_of_many_runs_holds_a_lock_for_each(self, tmp_path, monkeypatch):
+        import resource
+
+        files = make_study(tmp_path / "out")
+        job = jobs.Job(files.path, (*files.study().runs(),), is_batch=True)
+        for run in job.runs:
+            interrupt(files, run)
+        trained_runs, (soft, most) = [], resource.getrlimit(resource.RLIMIT_NOFILE)
+        monkeypatch.setattr(jobs, "_train", lambda _, job: trained_runs.extend(job.runs))
+        resource.setrlimit(
+            resource.RLIMIT_NOFILE, (psutil.Process().num_fds() + len(job.runs) // 2, most)
+        )
+        try:
+            jobs.make_done(job)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, most))
+        assert trained_runs == [*job.runs]
 
     def test_why_it_failed_is_of_this_attempt(self, tmp_path):
         log = tmp_path / "run.log"
