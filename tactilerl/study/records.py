@@ -1,9 +1,10 @@
 """The records of a study: in its folder, or in the one file that `collect` packs.
 
-study.json                what the runs are, as `Study.as_dict` has it runs/NAME/
-the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
-runs/NAME.json            why the run failed, if it did runs/NAME.log .lock       what
-it printed; held by the `study run` that trains it
+    study.json           what the runs are, as `Study.as_dict` has it
+    runs/NAME/           the run folder of `tactilerl train`
+    runs/NAME.json       why the run failed, if it did
+    runs/NAME.log        what it printed
+    runs/NAME.lock       held by the `study run` that trains it
 
 A run is done when its table is as long as was asked for, and its checkpoint, where
 there is one, is that of the table's last row. So folders of runs can be copied from one
