@@ -473,7 +473,7 @@ class Observer:
         ]
         taxels = [("taxels", f"taxel {name}") for name in taxel_names]
         self.names: list[str] = []
-        """What each entry is."""
+        """Says of each entry what it is."""
         self._term_of_entry: list[str] = []
         for part in (entries, taxels):
             for age in range(config.history):
@@ -489,7 +489,7 @@ class Observer:
 
     @property
     def parts(self) -> list[Any]:
-        """What remembers something of an episode."""
+        """Senses, stages and the touch rule that remember something of an episode."""
         parts = *self._senses, self._past, self._rule, *self._stages
         return [part for part in parts if part]
 

@@ -379,7 +379,7 @@ class Geometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Where a hand is at first, and how it grasps from there.
+    """Say where a hand is at first, and how it grasps from there.
 
     It hangs palm down above the origin of the world. Its slides, in m, are zero where
     it starts over an object no wider than ``start_clearance``.

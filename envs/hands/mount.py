@@ -1,4 +1,4 @@
-"""What is done to a hand's model: parts left out, links, couplings and servos.
+"""Fit a hand's model into a scene: parts left out, links, couplings and servos.
 
 Position servos drive it: the model's own, in the units of their joints, or the
 library's.

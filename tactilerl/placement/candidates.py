@@ -406,11 +406,11 @@ class Pool:
     """First those that the hand has already, then candidates, then layouts to compare
     with."""
     existing: list[int]
-    """Those that the hand has already."""
+    """Taxels that the hand has already."""
     free: Array
     """(n,) bool: which of these and of the candidates may be chosen?"""
     references: dict[str, list[int]]
-    """Those of the layouts to compare with, by name."""
+    """Taxels of the layouts to compare with, by name."""
     losses: Groups
     prices: Prices | None = None
     """None where the sensor's file says none."""

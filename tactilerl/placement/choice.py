@@ -69,7 +69,7 @@ class Pick(NamedTuple):
     taxels: list[int]
     """With those that the hand has already."""
     score: int
-    """How good it is in the starts to choose from (`cover.score`)."""
+    """Its score in the starts to choose from (`cover.score`)."""
     success: float
     """Its success there."""
 
