@@ -27,7 +27,8 @@ from torch import Tensor, nn
 from torch.nn.utils.rnn import pad_sequence
 
 from . import Array, DivergenceError, rollout
-from .ddpg_her import DDPGHER, VIEW, Exploration, tested
+from .ddpg_her import DDPGHER, VIEW, Exploration
+from .learner import tested
 from .normalizer import Scaling
 from .policy import OBS, SEEN, Noise, finite
 from .ppo import PPO, ActorLoss, GaussianNoise, Transitions, surrogate
@@ -149,8 +150,6 @@ class BatchLearner:
 
     view: ClassVar[Sequence[str]]
     """Parts of observations that a single learner keeps; networks see the first two."""
-    n_tests = 0
-    """Number of episodes of a test at the end of an epoch."""
     networks: Sequence[Networks]
     """All that must stay finite."""
 
@@ -268,12 +267,11 @@ class BatchLearner:
 
     def test(self, runs: Iterable[int]) -> Rows:
         """Return how good these runs are without exploration, where their learner tests that."""
-        keys = {
-            i: self.learners[i].key(rollout.TEST)
-            for i in runs
-            if self.n_tests and i not in self.failures
-        }
-        return {i: tested(row) for i, row in self.play_best(keys, self.n_tests).items()}
+        singles = self.learners
+        tests = {i for i in runs if singles[i].n_tests and i not in self.failures}
+        keys = {i: singles[i].key(rollout.TEST) for i in tests if singles[i].is_tested}
+        played = self.play_best(keys, singles[0].n_tests)
+        return {i: tested(played.get(i, {})) for i in tests}
 
     @torch.no_grad()
     def play(
@@ -491,8 +489,7 @@ class BatchDDPGHER(BatchLearner):
 
     def build(self) -> None:
         """Stack critics and target networks, and what networks see of the replays."""
-        config, singles = self.config, self.learners
-        self.n_tests = config.n_test_rollouts * config.n_rollouts
+        singles = self.learners
         self.critic = self.stacked("critic", "critic_adam")
         targets = self.stacked("target_actor"), self.stacked("target_critic")
         self.networks = [self.actor, self.critic, *targets]

@@ -319,6 +319,7 @@ class DDPGHER(Learner):
         )
         self.action_l2 = config.action_l2  # falls where it is annealed
         self.cycles_per_epoch = config.n_cycles
+        self.n_tests = config.n_test_rollouts * config.n_rollouts
         self.updates = self.cycles = 0
         is_running = config.normalize_rewards  # else as in baselines: from -1 to 0
         self.reward_scale = RewardScale(is_running, 0.0 if is_running else -1.0)
@@ -326,7 +327,8 @@ class DDPGHER(Learner):
         self.new_slots = np.zeros(0, np.int64)  # where the replay has them
 
     def check(self) -> None:
-        episodes = play_episodes(self.workers, self._player(rollout.PROBE), 1)
+        job = PlayEpisode(self.policy(), self.key(rollout.PROBE))
+        episodes = play_episodes(self.workers, job, 1)
         self.replay.require_rewards(episodes[-1])  # the one with transitions
 
     def describe(self) -> str:
@@ -340,16 +342,11 @@ class DDPGHER(Learner):
 
     # -- acting and collecting ---------------------------------------------------------------
 
-    def _player(self, purpose: int) -> PlayEpisode:
-        """Return what plays this rank's episodes, for one of the purposes in `rollout`."""
-        explores = purpose != rollout.TEST
-        return PlayEpisode(self.policy(), self.key(purpose), explores)
-
     def collect(self) -> dict[str, float]:
         """Play one cycle's episodes: into the replay, and relabelled into the normalizers."""
         self.begin()
-        player = self._player(rollout.TRAIN)
-        episodes = play_episodes(self.workers, player, self.config.n_rollouts)
+        job = PlayEpisode(self.policy(), self.key(rollout.TRAIN))
+        episodes = play_episodes(self.workers, job, self.config.n_rollouts)
         return self.keep(episodes)
 
     def key(self, purpose: int) -> rollout.Key:
@@ -381,13 +378,6 @@ class DDPGHER(Learner):
         self.obs_stats.update(batch.obs)
         self.goal_stats.update(batch.goal)
         return stats
-
-    def test(self) -> dict[str, float]:
-        n = self.config.n_test_rollouts * self.config.n_rollouts
-        if not n:
-            return {}
-        episodes = [*self.workers.play(self._player(rollout.TEST), range(n))]
-        return tested(summary(episodes, self.comm))
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -566,9 +556,3 @@ class DDPGHER(Learner):
         )
         inputs = GoalInputs(joined(*stats))
         return Policy(on_cpu(actor), inputs, explore, spaces)
-
-
-def tested(stats: dict[str, float]) -> dict[str, float]:
-    """Return what the table keeps of test episodes."""
-    names = ("success_rate", "mean_return", *rollout.FAULTS)
-    return {f"test_{name}": stats[name] for name in names}

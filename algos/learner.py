@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -13,8 +14,9 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
 from torch.utils._pytree import tree_map_only
 
-from . import Array, Communicator, Workers
+from . import Array, Communicator, Workers, rollout
 from .policy import Policy, Spaces, finite, flat_size
+from .rollout import Key, PlayEpisode, summary
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -58,6 +60,8 @@ class Learner(ABC):
     tensors."""
     cycles_per_epoch = 1
     """Number of times that an epoch collects and updates."""
+    n_tests = 0
+    """Number of episodes of a test at the end of an epoch."""
     replay: Any = None
     """The `Replay` of an off-policy learner."""
 
@@ -126,9 +130,25 @@ class Learner(ABC):
     def update(self) -> dict[str, float]:
         """Learn from what was collected; return losses and other metrics."""
 
+    @abstractmethod
+    def key(self, purpose: int) -> Key:
+        """Return the key of random numbers for one of the purposes in `rollout`."""
+
+    @property
+    def is_tested(self) -> bool:
+        """True if this epoch ends with a test."""
+        return self.n_tests > 0
+
     def test(self) -> dict[str, float]:
-        """Return how good it is without exploration at the end of an epoch; empty if not asked."""
-        return {}
+        """Return how good it is without exploration, where an epoch ends with a test.
+
+        Empty if none does.
+        """
+        if not self.is_tested:
+            return tested({}) if self.n_tests else {}
+        job = PlayEpisode(self.policy(), self.key(rollout.TEST), explores=False)
+        episodes = [*self.workers.play(job, range(self.n_tests))]
+        return tested(summary(episodes, self.comm))
 
     @classmethod
     def saved_policy(cls, config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
@@ -239,6 +259,13 @@ class RewardScale(Counts):
         factor = self.scale / scale if self.scale else 1.0
         self.scale = scale
         return factor
+
+
+def tested(stats: Mapping[str, float]) -> dict[str, float]:
+    """Return what the table keeps of test episodes; of none, NaN and no faults."""
+    columns = {"success_rate": math.nan, "mean_return": math.nan}
+    columns |= dict.fromkeys(rollout.FAULTS, 0.0)
+    return {f"test_{name}": stats.get(name, none) for name, none in columns.items()}
 
 
 def second_thread() -> ThreadPoolExecutor:

@@ -40,6 +40,7 @@ from .rollout import Episode, PlayEpisode, discounted, largest_return, summary, 
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
+N_TESTS = 20  # episodes of a test
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -115,6 +116,9 @@ class PPOConfig(LearnerConfig):
     target_kl: Positive32 | None = None
     """End an epoch's passes, the critic's too, after one whose last minibatch has a
     larger KL divergence from the old policy (in the paper's code, not in its text)."""
+    test_interval: Count | None = None
+    """Epochs from one test to the next, each of 20 episodes without exploration noise;
+    default: no tests."""
     undo_silent: bool = False
     """Do not update the actor from epochs in which every episode fails; where chance no
     longer explains so many failures, undo what it learned from the epoch before them. A
@@ -369,6 +373,7 @@ class PPO(Learner):
         self.std_adam = self.adam(stds, std_lr)
         self.critic_adam = self.adam([*self.critic.parameters()], config.critic_lr)
         self.epochs, self.episodes = 0, list[Episode]()
+        self.n_tests = N_TESTS if config.test_interval else 0
         self.silence = Silence()
         self.before_update: dict[str, Any] = {}  # states of `undoable`, by name
         self.reward_scale = RewardScale(config.normalize_rewards)
@@ -401,6 +406,11 @@ class PPO(Learner):
         TRAIN.
         """
         return self.seed, self.comm.rank, purpose, self.epochs
+
+    @property
+    def is_tested(self) -> bool:
+        interval = self.config.test_interval
+        return interval is not None and self.epochs % interval == 0
 
     def begin(self) -> None:
         """Begin an epoch: anneal learning rates."""

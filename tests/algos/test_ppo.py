@@ -174,6 +174,23 @@ class TestBatch:
         seen = ppo.collect()
         assert (seen["episodes"], seen["mean_length"], ppo.env_steps) == (3, 7, 21)
 
+    def test_tests_come_every_so_many_epochs_and_teach_nothing(self):
+        success = {"is_success": True}
+        tested, untested = (
+            make_ppo(scripted(info=lambda step: success), test_interval=interval)
+            for interval in (2, None)
+        )
+        rates = []
+        for _ in range(4):
+            for ppo in (tested, untested):
+                trained(ppo, 1)
+            assert untested.test() == {}
+            rates.append(tested.test())
+        assert torch.equal(parameters(tested.actor), parameters(untested.actor))
+        assert math.isnan(rates[0]["test_success_rate"]) and rates[0]["test_diverged"] == 0
+        assert [row["test_success_rate"] == 1.0 for row in rates] == [False, True] * 2
+        assert rates[1].keys() == rates[0].keys()
+
     def test_an_orthogonal_start_is_orthogonal(self):
         ppo = make_ppo(scripted(), hidden=(40, 40), orthogonal_init=True)
         for network, gains in ((ppo.actor, [2, 2, 1e-4]), (ppo.critic, [2, 2, 1])):

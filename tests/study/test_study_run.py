@@ -130,7 +130,7 @@ class TestBeforeItStarts:
     def test_a_measure_that_the_learner_does_not_have(self, tmp_path, capsys):
         text = 'name = "x"\nmeasure = "test_success_rate"\n[setups.x]\nenv = "lqr"\n'
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
-        fails_with(capsys, args, "measure: found test_success_rate, but ppo has no tests")
+        fails_with(capsys, args, "measure: found test_success_rate, but the run has no tests")
 
     def test_a_layout_that_was_changed_since(self, tmp_path, capsys):
         layout = tmp_path / "own.toml"
