@@ -39,10 +39,7 @@ LIT_SCALE = 2.0  # of a taxel that fires, hard to see between hand and object
 
 @dataclass(frozen=True)
 class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
-    """Options of a grasping scene. SI units and radians.
-
-    Defaults are the Shadow Hand's; some differ for other hands (`setup`).
-    """
+    """Options of a grasping scene, in SI units and radians; some defaults depend on the hand."""
 
     simulator: str = "mujoco"
     """Physics engine: mujoco or pybullet (extra: pybullet)."""

@@ -288,7 +288,9 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
     except ValueError:
         low = high = math.nan
     if not low <= high:
-        raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")
+        raise ValueError(
+            f"{name}: found {value!r}, allowed a number, or LOW..HIGH, not falling"
+        )
     return low, high
 
 

@@ -48,21 +48,22 @@ class TaxelFaults:
     """Standard deviation of the threshold between taxels, relative; drawn from
     --hand-seed."""
     taxel_saturates: Annotated[float, "(0, 1000]"] | None = None
-    """Largest force that a taxel reads, N; default: no limit. --touch-rule force."""
-    taxel_noise: Newtons = 0.0
-    """Standard deviation of the noise of a reading, N, drawn at every step.
+    """Largest force that a taxel reads, N; default: no limit. Only with
     --touch-rule force."""
+    taxel_noise: Newtons = 0.0
+    """Standard deviation of the noise of a reading, N, drawn at every step. Only
+    with --touch-rule force."""
     taxel_gain_spread: Fraction = 0.0
     """Standard deviation of the gain between taxels, around 1; drawn from --hand-seed.
-    --touch-rule force."""
+    Only with --touch-rule force."""
     taxel_drift: Newtons = 0.0
     """Drift of a taxel's zero from the start of an episode, N/min; --hand-seed decides
-    whether up or down. --touch-rule force."""
+    whether up or down. Only with --touch-rule force."""
 
 
 @dataclass(frozen=True)
 class SensorConfig(TaxelFaults):
-    """Errors with which the hand senses its joints, the object and touch; by default, none."""
+    """Errors with which the hand senses its joints, the object and touch."""
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
     """Object's pose as the policy sees it: exact (paper), noisy (--sight-noise), start

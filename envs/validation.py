@@ -65,7 +65,8 @@ def require_known(names: Iterable[str], known: Iterable[str], where: str = "") -
 def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
     """Raise ValueError where a value is none of those that are known."""
     if value not in (known := list(known)):
-        raise ValueError(f"{where}: found {value!r}, allowed: {', '.join(known)}")
+        hint = nearest(str(value), known)
+        raise ValueError(f"{where}: found {value!r}, {hint}allowed: {', '.join(known)}")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

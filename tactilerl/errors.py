@@ -50,7 +50,7 @@ def input_errors(where: str = "") -> Iterator[None]:
         OverflowError,
         MemoryError,
     ) as error:
-        line = " ".join(str(error).split())
+        line = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{where}: {line}" if where else line) from error
 
 

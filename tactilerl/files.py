@@ -66,15 +66,17 @@ def require_new(path: Path, overwrite: bool = False, *endings: str) -> None:
     those above it.
     """
     if endings and path.suffix not in endings:
-        allowed = ", ".join(ending or "nothing" for ending in endings)
-        raise InputError(
-            f"found {path.name!r} as a new file, allowed names that end in {allowed}"
-        )
+        allowed = " or ".join(f"*{end}" if end else "a folder" for end in endings)
+        raise InputError(f"found {path.name!r} as a new file, allowed {allowed}")
     if endings and path.suffix and not path.parent.is_dir():
         raise InputError(f"found no folder {str(path.parent)!r} for {path.name}")
     is_folder = os.path.isdir(path)
     with writable(path):
         is_there = any(os.scandir(path)) if is_folder else os.path.exists(path)
+    above = path.absolute().parents
+    folder = next(one for one in (path, *above) if os.path.isdir(one))
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"cannot write {str(path)!r}: {str(folder)!r} is read-only")
     if is_there and not overwrite:
         raise InputError(
             f"cannot write {str(path)!r}: it is there already; choose another name, or "
@@ -82,6 +84,18 @@ def require_new(path: Path, overwrite: bool = False, *endings: str) -> None:
         )
     if not is_folder:
         require_file(path)
+
+
+@contextmanager
+def kept(path: Path) -> Iterator[None]:
+    """Put back the file that was at `path`, if any, where what is done inside fails."""
+    before = path.read_bytes() if path.is_file() else None
+    try:
+        yield
+    except BaseException:
+        if before is not None:
+            path.write_bytes(before)
+        raise
 
 
 @contextmanager

@@ -410,8 +410,8 @@ def _model_file(name: str, folder: Path) -> Path:
         return folder / name
     spec = find_spec(package) if package.isidentifier() else None
     if spec is None or not spec.submodule_search_locations:
-        package = package.replace("_", "-")
         raise ImportError(
-            f"the hand's model files come with {package}, which is not installed: pip install {package}"
+            f"model: found {name!r}, but no installed package {package!r}; allowed a path, or "
+            "PACKAGE:PATH"
         )
     return Path(spec.submodule_search_locations[0]) / inside

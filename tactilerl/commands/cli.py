@@ -47,7 +47,11 @@ def main(args: Sequence[str] | None = None) -> int:
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
             os.dup2(nowhere, stream.fileno())
-    except (FloatingPointError, OSError) as error:  # such as DivergenceError
+    except (
+        FloatingPointError,
+        OSError,
+        MemoryError,
+    ) as error:  # such as DivergenceError
         _say("stopped", error)
         code = 1
     except KeyboardInterrupt as error:

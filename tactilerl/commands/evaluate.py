@@ -28,7 +28,7 @@ from .scene import sensor_notes, warn
 
 ABOUT = """\
 Success rate and return of a trained run, with confidence intervals. Sensor flags replace the
-sensor settings of the training.
+sensor settings of the training; those that are not given stay, whatever default they show.
 
 examples:
   tactilerl evaluate runs/X

@@ -14,7 +14,7 @@ from ..envs import hands
 from ..envs.grasp import setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
-from ..files import pasted, replacing, require_new
+from ..files import kept, pasted, replacing, require_new
 from ..pictures import render
 from ..terminal import flags
 from ..terminal.console import console
@@ -51,7 +51,7 @@ def main(args: list[str]) -> int:
     choices = flags.parse(HandFlags, args, "tactilerl hand", ABOUT)
     out, name = choices.out, str(choices.out)
     require_new(out, choices.overwrite, hands.SUFFIX)
-    with input_errors():
+    with input_errors(), kept(out):
         _write(choices, {})
         if complaint := _servo_complaint(name):
             console.print(f"note: {complaint}: all joints get the library's servos")

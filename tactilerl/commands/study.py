@@ -50,7 +50,7 @@ class Run:
         files = StudyFiles(self.out or Path("studies") / study.name)
         runs, is_gpu = study.runs(), jobs.is_gpu(self.on)
         console.print(
-            f"study {study.name}: {len(runs)} runs; trying what they begin with"
+            f"study {study.name}: {len(runs)} runs; checking that each can start"
         )
         if self.on == jobs.GPU:
             batch.require_device()
@@ -123,6 +123,8 @@ class Train:
         from ..algos import mpi
         from ..runs.training import train
 
+        if not self.run:
+            raise InputError("run: found none, allowed one name or more")
         files = StudyFiles(self.folder)
         runs = {run.name: run for run in files.study().runs()}
         for name in self.run:

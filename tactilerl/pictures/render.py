@@ -175,7 +175,8 @@ def film(
         for player in players:
             opened.callback(player.env.close)
         fps = players[0].fps
-        writer: Any = imageio.get_writer(out, fps=fps, macro_block_size=2)
+        file: Any = opened.enter_context(replacing(out))
+        writer: Any = imageio.get_writer(file, ".mp4", fps=fps, macro_block_size=2)
         opened.enter_context(writer)
         for number in numbers:
             played = [player.film(number) for player in players]

@@ -105,7 +105,7 @@ class DesignFlags:
         match = re.fullmatch(r"(\d{1,4})(?:\.\.(\d{1,4}))?", asked)
         low, high = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
         if not 1 <= low <= high:
-            allowed = "a number from 1 up, or LOW..HIGH"
+            allowed = "a number from 1 to 9999, or LOW..HIGH"
             raise ValueError(f"taxels: found {self.taxels!r}, allowed {allowed}")
         return range(low, high + 1)
 
@@ -130,7 +130,7 @@ def scenes_of(flags: DesignFlags) -> tuple[str, dict[str, GraspConfig]]:
         if tasks.TASKS[config.task].giver is None:
             raise ValueError(
                 f"scene: found {name}, whose object lies on the ground, allowed handovers; "
-                f"what touch can win there says tactilerl gate --scene {name}"
+                f"`tactilerl gate --scene {name}` says what touch can win there"
             )
         if config != replace(config, **INTACT):
             raise ValueError(

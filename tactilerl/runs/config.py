@@ -90,9 +90,14 @@ class RunConfig:
         parts = {name: getattr(self, name) for name in PARTS}
         return {name: part for name, part in parts.items() if part is not None}
 
+    @property
+    def names(self) -> set[str]:
+        """Names of all fields of the parts."""
+        return {name for part in self.parts.values() for name in vars(part)}
+
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """Return a copy with other values of some fields; ValueError naming what is wrong with them."""
-        require_known(choices, {k for part in self.parts.values() for k in vars(part)})
+        require_known(choices, self.names)
         chosen = {}
         for name, part in self.parts.items():
             values = {k: v for k, v in choices.items() if k in vars(part)}
@@ -240,7 +245,9 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
     deciding = {key: choices.get(key) for key in ("algo", "env", "recipe", "scene")}
     rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}
     with input_errors():
-        return defaults(**deciding).choose(rest)
+        config = defaults(**deciding)
+        require_known(choices, config.names | {"recipe", "scene"})
+        return config.choose(rest)
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:
@@ -254,6 +261,7 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         learner = validation.fill(config_type, data["learner"], "learner")
         return RunConfig(run, scene, learner)
     except (KeyError, TypeError, ValueError) as error:
+        problem = f"no {error}" if isinstance(error, KeyError) else error
         raise InputError(
-            f"not a configuration of this version, which reads runs of 0.5.0 on: {error}"
+            f"not a configuration of this version, which reads runs of 0.5.0 on: {problem}"
         ) from error

@@ -42,7 +42,7 @@ class OthersPolicy:
         self.choose_for: Callable[..., Any] = getattr(policy, "predict", policy)
         if not callable(self.choose_for):
             raise ValueError(
-                f"policy: found {type(policy).__name__}, allowed what load_policy reads, a learner, "
+                f"policy: found {type(policy).__name__}, allowed what load_policy returns, a learner, "
                 "a function of an observation, or an object with predict"
             )
         if "deterministic" in inspect.signature(self.choose_for).parameters:

@@ -329,7 +329,7 @@ class Checkpoint:
                 f"mpirun -n {before}"
             )
         state, self._epochs = data["ranks"][self.comm.rank], data["experience"]
-        problem = "damaged, or finish the run with the version that made it"
+        problem = "holds a policy alone, is damaged, or is of another version"
         with damage_named(self.run_dir.checkpoint_file, problem):
             self.learner.load_state_dict(state)
             for epoch in self._epochs:

@@ -36,7 +36,6 @@ def make_algorithm(
 ) -> tuple[Learner, vector.Workers]:
     """Return the learner and its workers; InputError when they do not go together."""
     with input_errors():
-        config.validate()
         start = partial(start_workers, config, comm, config.run.workers)
         return start_learner(config, start, comm)
 
@@ -83,6 +82,8 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
     run_dir = RunDir(
         config.folder or Path(config.run.out or Path("runs") / config.name())
     )
+    with input_errors():
+        config.validate()
     config = run_dir.settled(config)
     learner, workers = make_algorithm(config, comm)
     with closing(workers):

@@ -70,8 +70,8 @@ def check(
     with closing(GraspEnv(hand, config)) as env:
         if env.task.giver is not None:
             raise ValueError(
-                f"task: found {config.task}, allowed tasks whose object lies on the ground; what touch "
-                "can win in a handover says tactilerl gate"
+                f"task: found {config.task}, allowed tasks whose object lies on the ground; "
+                "`tactilerl gate` says what touch can win in a handover"
             )
         grasp, names = scripted.grasp_for(env), np.array(env.taxels.names)
         holds = [_readings(env, grasp, number, seconds) for number in range(n)]

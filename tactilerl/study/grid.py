@@ -40,6 +40,7 @@ from ..files import require_name
 from ..runs.config import RunConfig, configure
 from ..style import ROLES
 
+MAX_SEEDS = 100_000
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "score", "compare", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
@@ -186,6 +187,8 @@ def _study(data: dict[str, Any]) -> Study:
         with validation.blamed(f"setups.{setup}"[:60]):
             table = validation.table(data["setups"], setup)
             setups.append(_setup(require_name(setup, "name"), table, data))
+    if not setups:
+        raise ValueError("setups: found none, allowed one or more")
     study = Study(name, setups, score)
     for name, times in Counter(run.name for run in study.runs()).items():
         if times > 1:
@@ -223,11 +226,14 @@ def _seeds(values: list[Any]) -> list[int]:
     for part in ",".join(map(str, values)).split(","):
         first, _, last = part.partition("-")
         try:
-            seeds += range(int(first), int(last or first) + 1)
+            more = range(int(first), int(last or first) + 1)
         except ValueError:
             raise ValueError(
                 f'seed: found {part[:60]!r}, expected numbers and ranges, such as "0-9"'
             ) from None
+        if len(more) > MAX_SEEDS:
+            raise ValueError(f"seed: found {part!r}, allowed {MAX_SEEDS:,} seeds")
+        seeds += more
     return seeds
 
 

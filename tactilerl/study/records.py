@@ -88,6 +88,8 @@ class StudyFiles:
         """Read a packed file at `path`; of a folder nothing is read yet."""
         self.path = path
         is_file = os.path.isfile(path)  # False for any name
+        if is_file and path.suffix == ".toml":
+            raise InputError(f"{path}: a study file, allowed the folder of its runs")
         self._packed = _unpacked(path) if is_file else None
 
     def read(self, name: str) -> bytes:

@@ -134,7 +134,7 @@ def warnings(analysis: Analysis) -> list[str]:
     missing = [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]
     if missing:
         n_runs = len(analysis.records)
-        notes.append(f"Of {n_runs} runs {', '.join(missing)}: they are in no figure.")
+        notes.append(f"Of {n_runs} runs, {', '.join(missing)}: these are in no figure.")
     groups = [group for one in analysis.setups for group in one.groups.values()]
     fewest = min((len(group.reached) for group in groups), default=FEW_RUNS)
     if fewest < FEW_RUNS:

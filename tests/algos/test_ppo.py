@@ -187,7 +187,8 @@ class TestBatch:
             assert untested.test() == {}
             rates.append(tested.test())
         assert torch.equal(parameters(tested.actor), parameters(untested.actor))
-        assert math.isnan(rates[0]["test_success_rate"]) and rates[0]["test_diverged"] == 0
+        assert math.isnan(rates[0]["test_success_rate"])
+        assert rates[0]["test_diverged"] == 0
         assert [row["test_success_rate"] == 1.0 for row in rates] == [False, True] * 2
         assert rates[1].keys() == rates[0].keys()
 

@@ -206,6 +206,10 @@ def test_a_guess_that_is_refused_is_printed(monkeypatch, capsys):
     Path("hand.xml").write_text(PERSON)
     fails_with(capsys, ["hand", "hand.xml", "--out", "mine.toml"], "palmar: found a guess")
     assert tomllib.loads(Path("mine.toml").read_text())["palmar"] == [0, 0, -1]
+    Path("mine.toml").write_text("somebody's")
+    again = ["hand", "hand.xml", "--out", "mine.toml", "--overwrite"]
+    fails_with(capsys, again, "palmar: found a guess")
+    assert Path("mine.toml").read_text() == "somebody's"
 
 
 def test_what_a_model_does_not_say_is_asked_for(capsys):

@@ -389,7 +389,7 @@ class TestCommand:
             (["--survives", "toe"], "survives: found 'toe', allowed taxel, digit, segment"),
             (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
             (["--env", "foot"], "unknown hand 'foot'; allowed: shadow"),
-            (["--out", "x.png"], "found 'x.png' as a new file, allowed names that end in .toml"),
+            (["--out", "x.png"], "found 'x.png' as a new file, allowed *.toml"),
             (["--out", "mine.toml"], "it is there already"),
             (["--out", "gone/x.toml"], "found no folder 'gone'"),
             (["--sensor", "gone"], "sensor: found 'gone'"),

@@ -20,6 +20,7 @@ import torch
 from tactilerl import files
 from tactilerl.commands.cli import main
 from tactilerl.envs import plugins
+from tactilerl.envs.grasp import GraspEnv
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import store
 from tactilerl.runs.store import RunDir
@@ -310,6 +311,29 @@ def test_what_exists_stays_unless_it_is_to_be_overwritten(name, made, ppo):
     path.write_text("mine")
     assert main([*WRITERS[name], "--overwrite"]) == 0
     assert path.read_bytes() != b"mine"
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "x.csv"])
+def test_what_is_cut_off_leaves_what_was_there(name, made, monkeypatch):
+    """In the second episode, when one is written."""
+    reset, numbers = GraspEnv.reset, iter("01")
+
+    def ends_later(*args, **kwargs):
+        if next(numbers) == "1":
+            raise KeyboardInterrupt
+        return reset(*args, **kwargs)
+
+    shutil.copytree(made / "hand", "hand")
+    Path(name).write_text("mine")
+    monkeypatch.setattr(GraspEnv, "reset", ends_later)
+    command = ["2" if word == "1" else word for word in WRITERS[name]]
+    assert main([*command, "--overwrite"]) == 130
+    assert Path(name).read_text() == "mine"
+
+
+def test_a_folder_that_nobody_can_write_to_is_refused_at_once(monkeypatch, capsys):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    fails_with(capsys, [*DESIGN, "--out", "design"], "cannot write 'design'", "is read-only")
 
 
 def test_a_policy_never_replaces_a_run(ppo):

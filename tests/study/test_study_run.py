@@ -85,12 +85,13 @@ class TestRun:
         assert "2 runs, 0 to do" in printed(capsys, args)
         assert learned(tmp_path / "b") == learned(undisturbed)
 
-    def test_a_run_by_its_name(self, undisturbed, copied):
+    def test_a_run_by_its_name(self, undisturbed, copied, capsys):
         run = copied.study().runs()[0]
         shutil.rmtree(copied.run_dir(run).path)
         args = ["study", "train", str(copied.path), run.name]
         assert main(args) == main(args) == 0
         assert learned(copied.path) == learned(undisturbed)
+        fails_with(capsys, args[:-1], "run: found none, allowed one name or more")
 
     def test_a_run_that_is_cut_off_before_its_last_checkpoint_goes_on(
         self, undisturbed, copied, trained_here, tmp_path, monkeypatch
