@@ -39,6 +39,7 @@ WORDS = {
     str: "a string",
     bool: "True or False",
     dict: "a table",
+    Path: "a path",
     NoneType: "None",
 }
 ACCEPTED: dict[Any, Any] = {float: int | float, tuple: list | tuple, Any: object}

@@ -59,14 +59,14 @@ def gymnasium_id(name: str) -> str:
     return f"tactilerl/{''.join(word.capitalize() for word in name.split('_'))}-v0"
 
 
-def load(name: str) -> NamedScene:
+def load(name: str | Path) -> NamedScene:
     """Return a scene by name, or from a .toml file.
 
     Raise ValueError naming what is wrong, and FileNotFoundError.
     """
-    path = Path(name)
+    path = Path(validation.require_type(name, str | Path, "scene"))
     if path.suffix != SUFFIX:
-        require_one_of([*names(), f"NAME{SUFFIX}"], name, "scene")
+        require_one_of([*names(), f"NAME{SUFFIX}"], str(name), "scene")
         path = FOLDER / f"{name}{SUFFIX}"
     data = validation.read(path, "scene file")
     with validation.blamed(f"scene file {path}"):
