@@ -18,6 +18,7 @@ import io
 import json
 import os
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,9 @@ def read_tensors(path: Path, kind: str, key: str, version: int) -> Values:
     """
     missing = f"{path}: missing; there is no {kind} yet, or it was removed"
     with damage_named(path, f"not a {kind} of this version", missing):
+        with path.open("rb") as file:
+            if not zipfile.is_zipfile(file):  # PyTorch would say it in five lines
+                raise ValueError("not an archive, or cut off")
         data: Values = torch.load(
             path, weights_only=True, map_location="cpu", mmap=True
         )
@@ -329,7 +333,7 @@ class Checkpoint:
                 f"mpirun -n {before}"
             )
         state, self._epochs = data["ranks"][self.comm.rank], data["experience"]
-        problem = "holds a policy alone, is damaged, or is of another version"
+        problem = "damaged, a policy alone, or of another version"
         with damage_named(self.run_dir.checkpoint_file, problem):
             self.learner.load_state_dict(state)
             for epoch in self._epochs:

@@ -137,7 +137,7 @@ class TestWarnings:
         table = folder.run_dir(runs[5]).table
         table.write_text(table.read_text().replace("0.", "zero."))
         out = reported(capsys, folder.path)
-        assert "Of 24 runs 1 failed, 3 interrupted" in out
+        assert "Of 24 runs, 1 failed, 3 interrupted" in out
         assert "pybullet: versions or commits differ" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
         assert rows[1].startswith(f"{runs[0].name},failed,")
