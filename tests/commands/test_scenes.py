@@ -192,7 +192,7 @@ WRONG = [
     ({"giver_force": 1.0}, "giver_force: found 1.0, allowed only with task handover"),
     ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
     ({"object": "box,cylinder", "object_size": ("0.04..0.05", 0.05)}, "object_size: found 2 numbers"),
-    ({"object_size": "0.05..0.04"}, r"object_size: found '0.05..0.04', allowed a number, or LOW..HIGH, not falling"),
+    ({"object_size": "0.05..0.04"}, r"object_size: found '0.05..0.04', allowed a number, or LOW..HIGH"),
     ({"object_size": "0.04..0.09"}, "object_size: found 0.09 m, allowed up to 0.08 m across"),
     ({"object_size": (0.02, 0.02, 0.16)}, "object_size: found 0.16 m, allowed up to 0.15 m in height"),
     ({"friction": "0..1"}, r"friction: found 0.0, allowed \(0, 10\]"),

@@ -387,7 +387,7 @@ class TestCommand:
             (["--keep", "gone.toml"], "gone.toml"),
             (["--scene", "faulty.toml"], "found faulty.toml, where touch is off or taxels"),
             (["--survives", "toe"], "survives: found 'toe', allowed taxel, digit, segment"),
-            (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
+            (["--scene", "handover", "dark_mpl"], "`tactilerl gate --scene dark_mpl` says what touch"),
             (["--env", "foot"], "unknown hand 'foot'; allowed: shadow"),
             (["--out", "x.png"], "found 'x.png' as a new file, allowed *.toml"),
             (["--out", "mine.toml"], "it is there already"),

@@ -186,4 +186,4 @@ def test_the_command_fails_where_touch_tells_too_little(capsys, monkeypatch, tmp
 
 
 def test_a_handover_has_no_scripted_grasp(capsys):
-    fails_with(capsys, ["env", "--scene", "handover", "--check"], "says tactilerl gate")
+    fails_with(capsys, ["env", "--scene", "handover", "--check"], "`tactilerl gate` says")
