@@ -327,8 +327,7 @@ class DDPGHER(Learner):
         self.new_slots = np.zeros(0, np.int64)  # where the replay has them
 
     def check(self) -> None:
-        job = PlayEpisode(self.policy(), self.key(rollout.PROBE))
-        episodes = play_episodes(self.workers, job, 1)
+        episodes = play_episodes(self.workers, self.player(rollout.PROBE), 1)
         self.replay.require_rewards(episodes[-1])  # the one with transitions
 
     def describe(self) -> str:
@@ -345,8 +344,8 @@ class DDPGHER(Learner):
     def collect(self) -> dict[str, float]:
         """Play one cycle's episodes: into the replay, and relabelled into the normalizers."""
         self.begin()
-        job = PlayEpisode(self.policy(), self.key(rollout.TRAIN))
-        episodes = play_episodes(self.workers, job, self.config.n_rollouts)
+        player = self.player(rollout.TRAIN)
+        episodes = play_episodes(self.workers, player, self.config.n_rollouts)
         return self.keep(episodes)
 
     def key(self, purpose: int) -> rollout.Key:

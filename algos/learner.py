@@ -131,8 +131,13 @@ class Learner(ABC):
         """Learn from what was collected; return losses and other metrics."""
 
     def key(self, purpose: int) -> Key:
-        """Return the key of random numbers for a purpose of `rollout`; who has tests needs it."""
+        """Return the key of random numbers for a purpose of `rollout`; a learner with tests has one."""
         raise NotImplementedError
+
+    def player(self, purpose: int) -> PlayEpisode:
+        """Return what plays this rank's episodes, for a purpose of `rollout`."""
+        explores = purpose != rollout.TEST
+        return PlayEpisode(self.policy(), self.key(purpose), explores)
 
     @property
     def is_tested(self) -> bool:
@@ -140,13 +145,13 @@ class Learner(ABC):
         return self.n_tests > 0
 
     def test(self) -> dict[str, float]:
-        """Return how good it is without exploration, where an epoch ends with a test.
+        """Return how good it is without exploration.
 
-        Empty if none does.
+        NaN where an epoch has no test; empty where none has.
         """
         if not self.is_tested:
             return tested({}) if self.n_tests else {}
-        job = PlayEpisode(self.policy(), self.key(rollout.TEST), explores=False)
+        job = self.player(rollout.TEST)
         episodes = [*self.workers.play(job, range(self.n_tests))]
         return tested(summary(episodes, self.comm))
 

@@ -36,7 +36,7 @@ from .policy import (
     new_actor,
     on_cpu,
 )
-from .rollout import Episode, PlayEpisode, discounted, largest_return, summary, usable
+from .rollout import Episode, discounted, largest_return, summary, usable
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
@@ -391,9 +391,8 @@ class PPO(Learner):
     def collect(self) -> dict[str, float]:
         """Play whole episodes until `steps_per_epoch` are there."""
         self.begin()
-        job = PlayEpisode(self.policy(), self.key(rollout.TRAIN))
-        episodes = list[Episode]()
-        for episode in self.workers.play(job, itertools.count()):
+        player, episodes = self.player(rollout.TRAIN), list[Episode]()
+        for episode in self.workers.play(player, itertools.count()):
             episodes.append(episode)
             if not self.wants_more(episodes):
                 break

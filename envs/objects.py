@@ -289,7 +289,7 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
         low = high = math.nan
     if not low <= high:
         raise ValueError(
-            f"{name}: found {value!r}, allowed a number, or LOW..HIGH, not falling"
+            f"{name}: found {value!r}, allowed a number, or LOW..HIGH with the lower one first"
         )
     return low, high
 

@@ -80,6 +80,19 @@ class TestCheckpoint:
         fails_with(capsys, RESUME, "checkpoint.pt", words)
         assert TABLE.read_bytes() == before
 
+    def test_a_file_that_is_cut_off_is_named_in_few_words(self, ppo, capsys):
+        CHECKPOINT.write_bytes(CHECKPOINT.read_bytes()[:500])
+        fails_with(capsys, RESUME, "not a checkpoint of this version (not an archive, or cut off)")
+
+    def test_a_wrong_value_is_wrong_before_it_is_another_one(self, ppo, capsys):
+        again = [*TOY, "--out", "run", "--clip-range", "-3"]
+        fails_with(capsys, again, "clip_range: found -3.0, allowed")
+
+    def test_what_needs_too_much_memory_is_one_line(self, capsys):
+        more = ["--batch-size", str(10**13), "--total-timesteps", "50", "--out", "new"]
+        command = ["train", *HER, "--env", "point-reach", *more]
+        fails_with(capsys, command, "Unable to allocate", code=1)
+
     def test_policies_of_a_version_with_fewer_hyperparameters_are_read(self, her, capsys):
         config = json.loads(CONFIG.read_text())
         del config["learner"]["normalize_rewards"]

@@ -72,6 +72,9 @@ class TestRun:
         (tmp_path / "thesis.tex").write_text("")
         fails_with(capsys, ["study", "run", write(tmp_path), "--out", tmp_path], "holds no study")
 
+    def test_a_study_file_is_no_folder_of_runs(self, tmp_path, capsys):
+        fails_with(capsys, ["study", "status", write(tmp_path)], "a study file, allowed the folder")
+
     def test_copied_folders_of_runs_are_a_merged_study(self, undisturbed, tmp_path, capsys):
         runs = StudyFiles(undisturbed).study().runs()
         for place, run in zip("ab", runs, strict=True):
