@@ -24,7 +24,7 @@ from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
 from benchmarks.command import DATA, data, markdown
-from benchmarks.studies.study_tables import drawn, estimate, load
+from benchmarks.studies.study_tables import drawn, estimate, load, part
 
 STUDIES: dict[str, tuple[str, ...]] = {"layouts": (), "layouts_pybullet": ("predictors",)}
 """Studies, with the questions that each does not ask."""
@@ -57,14 +57,6 @@ def title(layout: str) -> str:
     """Return the name of a layout in tables: `layout 1`, `4 chosen`."""
     match = re.fullmatch(r"docs/data/chosen/\w+_(\d+)\.toml", layout)
     return f"{match[1]} chosen" if match else f"layout {layout}"
-
-
-def part(record: Record, begin: float, end: float = 1.0) -> float:
-    """Return mean success between two fractions of a run's steps; a row is of those up to its own."""
-    steps, values = record.column("env_steps"), record.column("success_rate")
-    before = np.r_[0.0, steps[:-1]]
-    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
-    return float(np.average(values, weights=np.clip(until - since, 0.0, None)))
 
 
 @cache

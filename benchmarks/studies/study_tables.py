@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from tactilerl import statistics, style
+from tactilerl.runs.config import FINAL_TEST
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import analysis as study_pairs
 from tactilerl.study import records
@@ -40,6 +41,15 @@ PAPER = {
     "mujoco": "0.82 0.85  0.88 0.81  0.87 0.83  0.80 0.81  0.70 0.84  0.73 0.80",
 }
 """Means of the paper's Tables 1 and 2 by layout: converged rate with touch, and without."""
+ELSEWHERE = {
+    "lift_shadow": "lift, Shadow Hand",
+    "lift_shadow_quiet": "the same, persistent with `--action-variance 0.05`",
+    "lift_mpl": "lift, MPL hand",
+    "lift_mpl_quiet": "the same, persistent with `--action-variance 0.05`",
+    "pendulum": "Pendulum-v1",
+    "reacher": "Reacher-v5",
+}
+"""Tasks that the recipes for handovers were not made for."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
 
 
@@ -68,6 +78,14 @@ def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     common = study_pairs.span(itertools.chain(*groups))
     rates = [{one.run.seed: study_pairs.within(one, *common)[1] for one in group} for group in groups]
     return [{seed: statistics.end_rate(y, 0.1) for seed, y in of.items()} for of in rates]
+
+
+def part(record: Record, begin: float, end: float = 1.0, column: str = "success_rate") -> float:
+    """Return a column's mean between two fractions of a run's steps; a row is of those up to its own."""
+    steps, values = record.column("env_steps"), record.column(column)
+    before = np.r_[0.0, steps[:-1]]
+    until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
+    return float(np.average(values, weights=np.clip(until - since, 0.0, None)))
 
 
 def label(setting: str) -> str:
@@ -287,6 +305,31 @@ def drawn(levels: dict[str, Sequence[Estimate]], names: list[str], colours: Sequ
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=5)
     return figure
+
+
+# -- recipes -----------------------------------------------------------------------------
+
+
+def elsewhere() -> None:
+    """Print PPO's recipe `persistent` against `steady` in other tasks, in pairs of one seed."""
+    scores: dict[str, Callable[[Record], float]] = {
+        "last test": lambda record: float(record.column(FINAL_TEST)[-1]),
+        "success over the run": partial(part, begin=0.0),
+        "return over the run": partial(part, begin=0.0, column="mean_return"),
+    }
+    runs, rows = [record for record in load("persistent")[1] if record.is_finished], []
+    for (setup, task), (score, of_run) in itertools.product(ELSEWHERE.items(), scores.items()):
+        if setup.startswith("lift") == score.startswith("return"):
+            continue  # each has the scores that its task has
+        form = ".1f" if score.startswith("return") else ".2f"
+        steady, ours = (
+            {r.run.seed: of_run(r) for r in runs if (r.run.setup, r.run.flags["recipe"]) == of}
+            for of in ((setup.removesuffix("_quiet"), "steady"), (setup, "persistent"))
+        )
+        _, (a, b) = in_common([steady, ours])
+        levels = estimate(average(a), form), estimate(average(b), form)
+        rows.append((task, score, len(a), *levels, estimate(average(b - a), f"+{form}")))
+    markdown("| task | score | pairs | steady | persistent | persistent − steady |", rows)
 
 
 TABLES = {
