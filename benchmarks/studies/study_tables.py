@@ -81,7 +81,7 @@ def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
 
 
 def part(record: Record, begin: float, end: float = 1.0, column: str = "success_rate") -> float:
-    """Return a column's mean between two fractions of a run's steps; a row is of those up to its own."""
+    """Return a column's mean between two fractions of the steps; a row is of those up to its own."""
     steps, values = record.column("env_steps"), record.column(column)
     before = np.r_[0.0, steps[:-1]]
     until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
