@@ -99,11 +99,11 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
     require_known(require_type(table, dict, where), types, where)
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        is_needed = field.default is dataclasses.MISSING is field.default_factory
-        if field.name in table or is_needed:
-            path = f"{where}.{field.name}" if where else field.name
-            value = table.get(field.name)
-            values[field.name] = require_type(value, types[field.name], path)
+        path = f"{where}.{field.name}" if where else field.name
+        if field.name in table:
+            values[field.name] = require_type(table[field.name], types[field.name], path)
+        elif field.default is dataclasses.MISSING is field.default_factory:
+            raise ValueError(f"{path}: missing, allowed {words(types[field.name])}")
     return kind(**values)
 
 

@@ -45,7 +45,7 @@ def test_a_file_is_read_in_si_units_and_what_it_lacks_is_unknown(tmp_path):
         ("threshold_N = nan", "sensor.threshold_N: found nan, allowed"),
         ("threshold_N = 0.1\nrelease_N = 0.2", "release_N: found 0.2, allowed up to threshold_N, 0.1"),
         ("dead =", "not valid TOML"),
-        ("[cost]\nboard = 40", "cost.each: found None, allowed a number"),
+        ("[cost]\nboard = 40", "cost.each: missing, allowed a number"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(tmp_path, content, said):
@@ -63,7 +63,7 @@ def test_other_names_and_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"sensor file 'no\.toml' does not exist"):
         sensors.load("no.toml")
     (tmp_path / "empty.toml").write_text("")
-    with pytest.raises(ValueError, match="sensor: found None, allowed a table"):
+    with pytest.raises(ValueError, match="sensor: missing, allowed a table"):
         sensors.load(tmp_path / "empty.toml")
 
 

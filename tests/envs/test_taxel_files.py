@@ -55,7 +55,7 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
             "link,x,y\na,0,0\n",
             "line 2: found {'link': 'a', 'x': '0', 'y': '0'}, expected numbers as x, y",
         ),
-        ("x,y,z\n0,0,0\n", "taxel 1.link: found None, allowed a string"),
+        ("x,y,z\n0,0,0\n", "taxel 1.link: missing, allowed a string"),
     ],
 )
 def test_what_a_file_of_another_form_should_have_is_said(tmp_path, content, complaint):
