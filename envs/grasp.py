@@ -45,7 +45,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
     """Layout of the taxels (touch sensors): 1 to 6 (paper, Fig. 2), smarthand, zhang or
-    abbass (other publications), model (the hand's own), or a .toml file.
+    abbass (other publications), model (the hand's own), or a .toml or .csv file.
     """
     touch: Literal["on", "off", "absent"] = "on"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the
