@@ -326,13 +326,22 @@ def show_budgets(study: str) -> None:
     markdown(f"{head} rank correlation with the last test |", rows)
 
 
+def with_intervals(group: Mapping[str, Array]) -> dict[str, Estimate]:
+    """Return the mean of each cell of a set-up, with 95 % intervals from the spread that all share."""
+    squares = sum(((cell - cell.mean()) ** 2).sum() for cell in group.values())
+    df = sum(len(cell) - 1 for cell in group.values())
+    found = {}
+    for name, cell in group.items():
+        low, high = scipy.stats.t(df, cell.mean(), np.sqrt(squares / df / len(cell))).interval(0.95)
+        found[name] = Estimate(float(cell.mean()), float(low), float(high))
+    return found
+
+
 def picture(study: str) -> Figure:
     """Draw the last test of each layout in each set-up, with intervals over the seeds."""
     of = cells(study)
-    levels = {
-        name: [contrast({setup: group}, {name: 1.0})[0] for setup, group in of.items()]
-        for name in (*layouts(of), NONE)
-    }
+    by_setup = [*map(with_intervals, of.values())]
+    levels = {name: [one[name] for one in by_setup] for name in (*layouts(of), NONE)}
     colours = (*style.MORE_COLOURS, *style.GROUPS)[: len(levels) - 1]
     figure = drawn(levels, [*map(name_of, of)], (*colours, "0.6"))
     figure.axes[0].set(xlabel="success in the last test, without noise", xlim=(0, 1))

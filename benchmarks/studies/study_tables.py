@@ -292,7 +292,7 @@ def picture() -> Figure:
 
 def drawn(levels: dict[str, Sequence[Estimate]], names: list[str], colours: Sequence[str]) -> Figure:
     """Return a figure with a row for each name, and in it each level with its interval."""
-    figure = Figure(figsize=(7, 0.5 + 0.55 * len(names)), layout="constrained")
+    figure = Figure(figsize=(7, 0.5 + max(0.55, 0.11 * len(levels)) * len(names)), layout="constrained")
     axes, rows = figure.subplots(), np.arange(len(names))
     for i, (label, of_label) in enumerate(levels.items()):
         means, low, high = np.transpose([(one.value, one.low, one.high) for one in of_label])
