@@ -101,7 +101,9 @@ def fill(kind: type[T], table: Any, where: str = "") -> T:
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         path = f"{where}.{field.name}" if where else field.name
         if field.name in table:
-            values[field.name] = require_type(table[field.name], types[field.name], path)
+            values[field.name] = require_type(
+                table[field.name], types[field.name], path
+            )
         elif field.default is dataclasses.MISSING is field.default_factory:
             raise ValueError(f"{path}: missing, allowed {words(types[field.name])}")
     return kind(**values)
