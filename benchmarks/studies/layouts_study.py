@@ -24,7 +24,7 @@ from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
 from benchmarks.command import DATA, data, markdown
-from benchmarks.studies.study_tables import drawn, estimate, load, part
+from benchmarks.studies.study_tables import drawn, estimate, last_test, load, part
 
 STUDIES: dict[str, tuple[str, ...]] = {"layouts": (), "layouts_pybullet": ("predictors",)}
 """Studies, with the questions that each does not ask."""
@@ -43,11 +43,10 @@ Cells = dict[tuple[str, str], dict[str, Array]]
 def row(record: Record) -> dict[str, object]:
     """Return the cell of a run and its scores."""
     run, scene = record.config["run"], record.config["scene"]
-    tests = record.column("final_test_success_rate")
     return {
         "setup": (run["algo"], run["env"]),
         "layout": title(scene["layout"]) if scene["touch"] == "on" else NONE,
-        TEST: tests[np.isfinite(tests)][-1:].mean(),
+        TEST: last_test(record),
         RUN: part(record, 0.0),
         **{name: part(record, begin, end) for name, (begin, end) in WINDOWS.items()},
     }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -86,6 +86,11 @@ def part(record: Record, begin: float, end: float = 1.0, column: str = "success_
     before = np.r_[0.0, steps[:-1]]
     until, since = np.minimum(steps, end * steps[-1]), np.maximum(before, begin * steps[-1])
     return float(np.average(values, weights=np.clip(until - since, 0.0, None)))
+
+
+def last_test(record: Record) -> float:
+    """Return the success of a run's last policy, without noise."""
+    return float(record.column(FINAL_TEST)[-1])
 
 
 def label(setting: str) -> str:
@@ -312,24 +317,22 @@ def drawn(levels: dict[str, Sequence[Estimate]], names: list[str], colours: Sequ
 
 def elsewhere() -> None:
     """Print PPO's recipe `persistent` against `steady` in other tasks, in pairs of one seed."""
-    scores: dict[str, Callable[[Record], float]] = {
-        "last test": lambda record: float(record.column(FINAL_TEST)[-1]),
-        "success over the run": partial(part, begin=0.0),
-        "return over the run": partial(part, begin=0.0, column="mean_return"),
-    }
+    success = {"last test": last_test, "success over the run": partial(part, begin=0.0)}
+    returns = {"return over the run": partial(part, begin=0.0, column="mean_return")}
     runs, rows = [record for record in load("persistent")[1] if record.state == "done"], []
-    for (setup, task), (score, of_run) in itertools.product(ELSEWHERE.items(), scores.items()):
-        if setup.startswith("lift") == score.startswith("return"):
-            continue  # each has the scores that its task has
-        form = ".1f" if score.startswith("return") else ".2f"
-        steady, ours = (
-            {r.run.seed: of_run(r) for r in runs if (r.run.setup, r.run.flags["recipe"]) == of}
+    for setup, task in ELSEWHERE.items():
+        groups = [
+            [run for run in runs if (run.run.setup, run.run.flags["recipe"]) == of]
             for of in ((setup.removesuffix("_quiet"), "steady"), (setup, "persistent"))
-        )
-        seeds, (a, b) = in_common([steady, ours])
-        if seeds:  # the lifts of the MPL hand have not been run
-            levels = estimate(average(a), form), estimate(average(b), form)
-            rows.append((task, score, len(seeds), *levels, estimate(average(b - a), f"+{form}")))
+        ]
+        scores, form = (success, ".2f") if setup.startswith("lift") else (returns, ".1f")
+        for score, of_run in scores.items():
+            by_seed = [{run.run.seed: of_run(run) for run in group} for group in groups]
+            seeds, (a, b) = in_common(by_seed)
+            if seeds:  # the lifts of the MPL hand have not been run
+                levels = estimate(average(a), form), estimate(average(b), form)
+                difference = estimate(average(b - a), f"+{form}")
+                rows.append((task, score, len(seeds), *levels, difference))
     markdown("| task | score | pairs | steady | persistent | persistent − steady |", rows)
 
 

@@ -41,6 +41,14 @@ def test_pairs_differ_where_they_do(made_up):
     assert p < 1e-6
 
 
+def test_cells_of_a_set_up_share_their_spread():
+    group = {"layout 1": np.array([0.5, 0.7]), study.NONE: np.array([0.2, 0.2])}
+    one, none = study.with_intervals(group).values()
+    margin = 4.303 * np.sqrt(0.02 / 2 / 2)  # t of two degrees of freedom; variance; seeds
+    assert (one.value, none.value) == (0.6, 0.2)
+    assert np.allclose([one.high - 0.6, 0.6 - one.low, none.high - 0.2], margin, rtol=1e-3)
+
+
 def test_a_seed_with_a_run_that_was_cut_off_is_left_out(monkeypatch):
     whole, records = study.load("layouts_pybullet")
     one = next(record for record in records if record.run.seed == 1)
