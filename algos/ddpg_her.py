@@ -152,6 +152,11 @@ class DDPGHERConfig(LearnerConfig):
             self, noise_eps=left * self.noise_eps, random_eps=left * self.random_eps
         )
 
+    @property
+    def explores(self) -> bool:
+        """True if a policy that acts by this configuration has exploration noise."""
+        return self.noise_eps > 0.0 or self.random_eps > 0.0
+
 
 def td_targets(
     rewards: Tensor,

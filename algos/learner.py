@@ -39,6 +39,11 @@ class LearnerConfig:
         """Return a copy with annealed exploration noise; `remaining` falls from 1 to 0 over a run."""
         return self
 
+    @property
+    def explores(self) -> bool:
+        """True if a policy that acts by this configuration has exploration noise."""
+        return True
+
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
 

@@ -160,7 +160,8 @@ class PatchTable:
 
     def patch(self) -> Patch:
         """Return the patch that it says; ValueError unless it has either offsets or an array."""
-        if bool(self.offsets_mm) == bool(self.pitch_mm):
+        is_array = bool(self.pitch_mm) or (self.rows, self.columns) != (1, 1)
+        if bool(self.offsets_mm) == is_array or is_array != bool(self.pitch_mm):
             raise ValueError(
                 "patch: needs either offsets_mm or rows, columns, pitch_mm"
             )

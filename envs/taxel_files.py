@@ -17,6 +17,11 @@ from .hands import RADIUS, Point
 from .validation import Newtons, blamed, fill, read_text
 
 Near = Annotated[float, "[-1, 1]"]
+POSITION, NORMAL, SENSOR = (
+    ("x", "y", "z"),
+    ("nx", "ny", "nz"),
+    ("radius", "threshold_N"),
+)
 
 
 @dataclass(frozen=True)
@@ -64,12 +69,15 @@ def require_distinct(points: Sequence[Point]) -> None:
 def read(path: Path) -> tuple[Point, ...]:
     """Return the taxels of a CSV file, one a row under a heading.
 
-    Of its columns only link, x, y and z must be there, and unknown ones are left out.
-    ValueError naming what is wrong with it, and FileNotFoundError.
+    Of its columns only link, x, y and z must be there, and unknown ones are left out,
+    but for those that only look unknown, such as radius_mm. ValueError naming what is
+    wrong with it, and FileNotFoundError.
     """
     with blamed(f"taxel file {path}"):
         lines = read_text(path, "taxel file").splitlines()
         rows = csv.DictReader(lines, skipinitialspace=True)
+        for column in rows.fieldnames or ():
+            _require_unit(column.strip())
         points = tuple(
             point(_table(row, rows.line_num), i) for i, row in enumerate(rows, 1)
         )
@@ -78,19 +86,26 @@ def read(path: Path) -> tuple[Point, ...]:
         return points
 
 
+def _require_unit(column: str) -> None:
+    """Raise ValueError for a column of numbers with another unit or spelling than ours."""
+    ours = {name.partition("_")[0]: name for name in (*POSITION, *NORMAL, *SENSOR)}
+    name = ours.get(column.partition("_")[0].lower(), column)
+    if name != column:
+        raise ValueError(f"column: found {column!r}, allowed {name!r} (lengths in m)")
+
+
 def _table(row: dict[str, str], line: int) -> dict[str, Any]:
     """Return the table that a row of a CSV file stands for."""
     cells = {name.strip(): cell for name, cell in row.items() if name and cell}
     table: dict[str, Any] = {k: cells[k] for k in ("link", "name") if k in cells}
     try:
-        table["position"] = [float(cells[name]) for name in ("x", "y", "z")]
-        if "nx" in cells:
-            table["normal"] = [float(cells[name]) for name in ("nx", "ny", "nz")]
-        if "radius" in cells:
-            table["radius"] = float(cells["radius"])
+        table["position"] = [float(cells[name]) for name in POSITION]
+        if not cells.keys().isdisjoint(NORMAL):
+            table["normal"] = [float(cells[name]) for name in NORMAL]
+        table |= {name: float(cells[name]) for name in SENSOR if name in cells}
     except (ValueError, KeyError) as error:
         raise ValueError(
             f"line {line}: found {str(cells)[:200]}, expected numbers as x, y, z and, where they "
-            "are known, nx, ny, nz and radius"
+            "are known, nx, ny, nz, radius and threshold_N"
         ) from error
     return table

@@ -322,6 +322,10 @@ def make(
     if threshold is not None:
         thresholds = np.full(len(taxels), threshold)
     if not thresholds.any():
+        if np.any(spread != 1.0):
+            raise ValueError(
+                "taxel_threshold_spread: found without a threshold, which it spreads"
+            )
         return RULES[rule](taxels, hand)
     if rule != "skin":
         raise ValueError(f"touch_rule: found {rule} with a threshold, allowed skin")

@@ -23,6 +23,7 @@ Money = Annotated[float, "[0, 1e9)"]
 OF_FIRING = "taxel_threshold", "taxel_release", "taxel_threshold_spread"
 OF_FORCE = "taxel_saturates", "taxel_noise", "taxel_gain_spread", "taxel_drift"
 OF_BITS = "taxel_false_on", "taxel_stuck"
+DECIDING = "touch", "touch_rule", "control_dt"  # what `SensorFile.fields` reads
 UNIT = re.compile("_(mm|ms|N|N_per_min)$")
 T = TypeVar("T")
 
@@ -130,17 +131,28 @@ def choose(config: T, choices: Mapping[str, Any]) -> T:
     """Return a copy of a `grasp.GraspConfig` with some fields chosen otherwise.
 
     A sensor brings its numbers, which the other choices overrule; without touch, or
-    with the sensor "", there are none. Raise ValueError naming what is wrong with the
-    sensor, and FileNotFoundError.
+    with the sensor "", there are none. Where a choice changes what the numbers of the
+    sensor of `config` are, they follow, but for those that had been chosen otherwise.
+    Raise ValueError naming what is wrong with the sensor, and FileNotFoundError.
     """
     changed: Any = validation.replace(config, choices)
     numbers: dict[str, Any] = {}
-    if choices.get("sensor") == "" or (changed.sensor and changed.touch != "on"):
-        numbers = _usual(config)
-    elif "sensor" in choices:
+    other = any(getattr(changed, name) != getattr(config, name) for name in DECIDING)
+    if "sensor" in choices or (changed.sensor and other):
         validation.require(type(changed), vars(changed))
-        numbers = load(changed.sensor).fields(changed)
+        numbers = _numbers(changed)
+        if "sensor" not in choices and changed.touch == "on":
+            before = _numbers(config)
+            kept = {k for k, x in before.items() if getattr(config, k) != x}
+            numbers = {k: x for k, x in numbers.items() if k not in kept}
     return validation.replace(config, {**numbers, **choices})
+
+
+def _numbers(config: Any) -> dict[str, Any]:
+    """Return what all fields of taxels are with the sensor of a configuration."""
+    if config.sensor and config.touch == "on":
+        return load(config.sensor).fields(config)
+    return _usual(config)
 
 
 def _usual(config: Any) -> dict[str, Any]:

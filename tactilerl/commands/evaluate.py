@@ -73,6 +73,10 @@ def main(args: list[str]) -> int:
     read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
     command: _CommandFlags = read.command
     trained = policies.read_run(command.run)
+    if command.stochastic and not trained.explores:
+        raise InputError(
+            "stochastic: found with a run whose exploration noise was annealed to zero"
+        )
     run, scene = trained.config, trained.config.scene
     changed: dict[str, Any] = {}
     if scene is not None:
@@ -108,7 +112,7 @@ def main(args: list[str]) -> int:
             row["success"] = None if math.isnan(row["success"]) else row["success"]
         print(json.dumps(about | summary | {"each": each}))
     else:
-        console.print(_table(about, summary))
+        console.print(_table(about, summary, trained.explores))
     return 0
 
 
@@ -129,13 +133,14 @@ def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str,
     return rows
 
 
-def _table(about: dict[str, Any], summary: dict[str, Any]) -> Table:
+def _table(about: dict[str, Any], summary: dict[str, Any], explores: bool) -> Table:
     """Return a table of how good a policy is, headed by its run and sensors."""
     changed = [f"{name} {value}" for name, value in about.get("sensors", {}).items()]
     title = ", ".join([about["run"], f"epoch {about['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.
-    noise = "without exploration noise; --stochastic plays with it"
-    caption = "with exploration noise" if about["stochastic"] else noise
+    how = "with" if about["stochastic"] else "without"
+    hint = "; --stochastic plays with it" if explores and how == "without" else ""
+    caption = f"{how} exploration noise{hint}"
     table = Table("", "mean", "95 % interval", title=title, caption=caption)
     for name in dict.fromkeys(["success_rate", *summary]):
         value = summary.get(name)

@@ -8,13 +8,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..envs.grasp import setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..files import require_new
 from ..pictures import render
+from ..terminal import flags
 from ..terminal.console import console
-from .scene import layout_notes, read_scene, require_grasp
+from .scene import SceneFlag, layout_notes, read_scene, require_grasp
 
 ABOUT = """\
 Draw a scripted grasp with its taxels, or film a trained run (extra: render).
@@ -60,12 +60,15 @@ def main(args: list[str]) -> int:
     """Run `tactilerl render` (a scripted grasp with its taxels) or `tactilerl render RUN` (a run)."""
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
     camera = Camera(read.azimuth, read.elevation)
+    given = flags.given(read, args)
     for flag in ("env", "out", "pose") if read.run else RUN_FLAGS:
-        if getattr(read, flag) != getattr(RenderFlags, flag):
+        if flag in given:
             needed = "without" if read.run else "with"
             raise InputError(f"{flag}: allowed only {needed} a run folder")
+    if {"episode", "episodes"} <= given.keys():
+        raise InputError("episode and episodes: found both, allowed one of them")
     if read.run:
-        if scene != setup(read.env):
+        if flags.given(scene, args) or flags.given(SceneFlag(), args):
             raise InputError("render RUN: found scene flags, but a run keeps its scene")
         with input_errors():
             _film(read, camera)

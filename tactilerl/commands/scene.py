@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from ..envs import hands, layouts, scenes, tasks, validation
 from ..envs.grasp import GraspConfig, setup
+from ..envs.observations import Broken
 from ..envs.scenes import NamedScene
 from ..envs.validation import nearest
 from ..errors import InputError, input_errors
@@ -65,19 +66,33 @@ def read_scene(
 
 
 def sensor_notes(name: str, scene: GraspConfig) -> list[str]:
-    """Return notes about a hand's taxels that fire at any contact, or later than touch is of use."""
-    force = scene.taxel_threshold
-    if scene.touch != "on" or scene.touch_rule != "skin":
+    """Return notes about a hand's taxels that are not what one may think.
+
+    They fire at any contact, fire when touch is of no use any more, or are too few for
+    a share of them to be broken.
+    """
+    if scene.touch != "on":
         return []
-    if force is None:
-        taxels = layouts.load(scene.layout).place(hands.get(name))
-        says = f"{scene.sensor} names no threshold: its taxels fire at any contact"
-        return [says] if scene.sensor and not taxels.thresholds.any() else []
-    if tasks.TASKS[scene.task].giver is None or force <= scene.giver_force:
-        return []
-    return [
-        f"threshold {force:g} N is above --giver-force {scene.giver_force:g} N: touch comes too late"
+    taxels = layouts.load(scene.layout).place(hands.get(name))
+    shares = {"dead": scene.taxel_dead, "stuck": scene.taxel_stuck}
+    broken = Broken(len(taxels), **shares, seed=0)
+    notes = [
+        f"taxel_{what} {share:g}: none of {len(taxels)} taxels is {what}"
+        for what, share in shares.items()
+        if share and not getattr(broken, what).any()
     ]
+    force, giver = scene.taxel_threshold, tasks.TASKS[scene.task].giver
+    if force is None:
+        if scene.sensor and scene.touch_rule == "skin" and not taxels.thresholds.any():
+            notes.append(
+                f"{scene.sensor} names no threshold: its taxels fire at any contact"
+            )
+    elif giver is not None and force > scene.giver_force:
+        notes.append(
+            f"threshold {force:g} N is above --giver-force {scene.giver_force:g} N: touch comes "
+            "too late"
+        )
+    return notes
 
 
 def warn(notes: Sequence[str]) -> None:

@@ -227,6 +227,8 @@ def defaults(
         require_one_of(algos.ALGORITHMS, algo, "algo")
         paper, grasp = algos.ALGORITHMS[algo], None
         learner = recipes.recipe(algo, recipe or usual)
+        if recipe:  # its values, not those that the scene's own recipe has there
+            train = {name: x for name, x in train.items() if name not in vars(learner)}
         if hands.is_hand(env):
             grasp = setup(env, **{"task": paper.task, **named.on(env)})
         elif scene:

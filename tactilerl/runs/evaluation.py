@@ -136,7 +136,7 @@ def sensed(env: Any) -> dict[str, int]:
 @contextmanager
 def recorder(
     path: Path | None, overwrite: bool, env: Any, policy: Policy
-) -> Iterator[Callable[[int, Episode[Any]], None]]:
+) -> Iterator[Callable[[int, Episode], None]]:
     """Give a function that adds an episode, with its number, to a new CSV file, if there is one.
 
     A row has what the policy was told, what it did, and what came of it. The first
@@ -154,10 +154,9 @@ def recorder(
         writer = csv.writer(codecs.getwriter("utf-8")(file), lineterminator="\n")
         writer.writerow([*header, "next.reward", "next.done", "next.success"])
 
-        def add(number: int, episode: Episode[Any]) -> None:
+        def add(number: int, episode: Episode) -> None:
             for step, reward in enumerate(episode.rewards):
-                view = episode.obs[step]
-                told = getattr(view, "observation", view)[[*names.values()]]
+                told = episode.obs[step][[*names.values()]]
                 done = policy.to_env(episode.actions[step])
                 is_last = step + 1 == len(episode)
                 time = round(step * env.config.control_dt, 6)

@@ -38,6 +38,8 @@ class Trained(NamedTuple):
     policy: Policy
     epoch: int
     env_steps: int
+    explores: bool
+    """False if its exploration noise has been annealed to zero."""
 
 
 def load_policy(path: str | Path) -> Policy:
@@ -102,4 +104,5 @@ def read_run(path: Path) -> Trained:
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
-    return Trained(config, policy, data["epoch"], state["env_steps"])
+    progress = data["epoch"], state["env_steps"]
+    return Trained(config, policy, *progress, acting.explores)

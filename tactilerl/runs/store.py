@@ -128,7 +128,10 @@ class RunDir:
         self.layout_file = path / LAYOUT_COPY
 
     def settled(self, config: RunConfig) -> RunConfig:
-        """Return the configuration of a run here; InputError where another run is here already."""
+        """Return the configuration of a run here; InputError where another run is here already.
+
+        That is one of other values, or whose layout's file had other taxels.
+        """
         if not os.path.exists(self.config_file):  # False for any name
             return config
         saved = self.read_config()
@@ -137,6 +140,15 @@ class RunDir:
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
                 "makes another run)"
             )
+        layout, copy = config.layout_file, self.layout_file
+        is_resumed = config.folder == self.path  # by its folder: its own copy counts
+        if layout and layout.is_file() and copy.is_file() and not is_resumed:
+            with input_errors():
+                was, now = (layouts.load(str(file)) for file in (copy, layout))
+            if (was.patches, was.taxels) != (now.patches, now.taxels):
+                raise InputError(
+                    f"{self.path}: layout {layout}: found other taxels than when this run began"
+                )
         return dataclasses.replace(config, folder=self.path, hand=saved.hand)
 
     def create(self) -> None:

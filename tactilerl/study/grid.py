@@ -190,6 +190,10 @@ def _study(data: dict[str, Any]) -> Study:
     if not setups:
         raise ValueError("setups: found none, allowed one or more")
     study = Study(name, setups, score)
+    if score == "test" and any(
+        run.flags.get("n_test_episodes") == 0 for run in study.runs()
+    ):
+        raise ValueError("score: found test, but n_test_episodes is 0")
     for name, times in Counter(run.name for run in study.runs()).items():
         if times > 1:
             raise ValueError(

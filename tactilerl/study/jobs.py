@@ -24,7 +24,7 @@ from typing import Any
 import filelock
 
 from ..algos.mpi import Communicator
-from ..envs import layouts, plugins
+from ..envs import plugins
 from ..errors import (
     BAD_INPUT,
     BUSY,
@@ -35,7 +35,6 @@ from ..errors import (
 )
 from ..machine import allow_open_files, free_cores
 from ..runs.config import RunConfig
-from ..runs.store import RunDir
 from ..runs.training import make_algorithm
 from .grid import Run
 from .records import StudyFiles
@@ -87,25 +86,12 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
         try:
             config, run_dir = run.config(), files.run_dir(run)
             if run_dir.config_file.exists():
-                _require_same(run_dir, config)
+                run_dir.settled(config)
             elif run.place not in tried:
                 tried.add(run.place)
                 _try(run, config)
         except InputError as error:
             raise InputError(f"run {run.name}: {error}") from error
-
-
-def _require_same(run_dir: RunDir, config: RunConfig) -> None:
-    """Raise InputError where a run was made with other values or taxels."""
-    run_dir.settled(config)
-    layout, copy = config.layout_file, run_dir.layout_file
-    if layout and layout.is_file() and copy.is_file():
-        with input_errors():
-            was, now = (layouts.load(str(file)) for file in (copy, layout))
-        if (was.patches, was.taxels) != (now.patches, now.taxels):
-            raise InputError(
-                f"layout {layout}: found other taxels than when this run began"
-            )
 
 
 def _try(run: Run, config: RunConfig) -> None:

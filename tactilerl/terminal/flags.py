@@ -63,7 +63,8 @@ def parse_parts(
 
 def given(part: Any, args: Sequence[str]) -> dict[str, Any]:
     """Return those fields of a dataclass that was read from `args` whose flags are among them."""
-    flags = {arg.partition("=")[0].replace("_", "-") for arg in args}
+    names = (arg.partition("=")[0].replace("_", "-") for arg in args)
+    flags = {name.replace("--no-", "--", 1) for name in names}
     return {k: v for k, v in vars(part).items() if f"--{k}".replace("_", "-") in flags}
 
 

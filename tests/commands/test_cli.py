@@ -206,7 +206,12 @@ class TestBadInput:
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["render", "none", "--video", "x.gif"], ["found 'x.gif' as a new file", ".mp4"]),
             (["render", "--out", "no/x.png"], ["found no folder 'no'"]),
-            (["render", "none", "--layout", "1"], ["found scene flags"]),
+            (["render", "none", "--layout", "2"], ["found scene flags"]),  # also its default
+            (["render", "none", "--no-jitter"], ["found scene flags"]),
+            (
+                ["render", "none", "--episode", "1", "--episodes", "3"],
+                ["episode and episodes: found both"],
+            ),
             (["render", "none", "--pose", "start"], ["pose: allowed only without a run folder"]),
             (["render", "--episode", "1"], ["episode: allowed only with a run folder"]),
             (["render", "--video", "x.mp4"], ["video: allowed only with a run folder"]),

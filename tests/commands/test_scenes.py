@@ -8,6 +8,7 @@ import pytest
 from tactilerl import envs
 from tactilerl.commands.cli import main
 from tactilerl.envs import scenes, scripted
+from tactilerl.envs.grasp import GraspEnv
 from tactilerl.envs.hands import HANDS, get
 from tactilerl.runs.config import configure, defaults
 
@@ -34,6 +35,30 @@ def test_flags_change_what_a_scene_says():
     assert (config.run.algo, config.run.env) == ("ppo", "mpl")
     assert (config.scene.task, config.scene.layout, config.scene.touch) == ("handover", "1", "off")
     assert config.learner.orthogonal_init is True  # of the recipe
+
+
+TRAIN = ["train", *PPO, *REACH, "--total-timesteps", "12"]
+
+
+@pytest.mark.parametrize("command", [TRAIN, ["env", "--json"]])
+def test_flags_that_say_no_reach_the_scene(command, capsys):
+    config, make = {}, GraspEnv.__init__
+
+    def seen(env, hand, scene):
+        config.update(vars(scene))
+        make(env, hand, scene)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(GraspEnv, "__init__", seen)
+        assert main([*command, "--env", "shadow", "--no-jitter", "--no_observe-targets"]) == 0
+    assert (config["jitter"], config["observe_targets"]) == (False, False)
+
+
+def test_a_recipe_that_is_given_has_its_own_values_not_the_scenes():
+    Path("mine.toml").write_text('base = "handover"\n[train]\nsteps_per_epoch = 777\n')
+    for recipe, steps in ((None, 777), ("robust", 500)):
+        config = configure({"scene": "mine.toml", "recipe": recipe})
+        assert (config.learner.steps_per_epoch, config.run.total_timesteps) == (steps, 24_000)
 
 
 class TestOtherLearner:
@@ -149,6 +174,13 @@ class TestEvaluateWithOtherSensors:
         assert Path("run/config.json").read_text() == before
         wrong = ["evaluate", "run", "--taxel-dead", "-1"]
         fails_with(capsys, wrong, "taxel_dead: found -1.0, allowed [0, 1]")
+
+    def test_noise_that_was_annealed_to_zero_cannot_be_kept(self, capsys):
+        train = ["train", *HER, "--env", "shadow", *REACH, "--anneal-noise", "--total-timesteps"]
+        evaluate = ["evaluate", "run", "--episodes", "1", "--workers", "1"]
+        main([*train, "12", "--out", "run"])
+        assert "--stochastic" not in printed(capsys, evaluate)
+        fails_with(capsys, [*evaluate, "--stochastic"], "exploration noise was annealed to zero")
 
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
         main(["train", *PPO, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])

@@ -57,6 +57,12 @@ def test_what_a_sensor_does_not_say_and_what_is_too_firm_is_said_at_once(capsys,
     assert unknown in printed(capsys, ["env", *scene, "eflesh"])
     for known in (["--taxel-threshold", "0.1"], ["--touch-rule", "force"], ["--touch", "off"]):
         assert "eflesh names" not in printed(capsys, ["env", *scene, "eflesh", *known])
+    four = [*scene, "eflesh", "--layout", "5", "--taxel-dead", "0.02", "--taxel-stuck", "0.1"]
+    assert "note: taxel_dead 0.02: none of 19 taxels is dead\nnote: e" in printed(
+        capsys, ["env", *four]
+    )
+    spread = ["env", *scene, "eflesh", "--taxel-threshold-spread", "0.1"]
+    fails_with(capsys, spread, "taxel_threshold_spread: found without a threshold, which it spreads")
     assert main([*TRAIN, "--sensor", "eflesh", "--total-timesteps", "12", "--out", "run"]) == 0
     assert "eflesh names no threshold" in " ".join(capsys.readouterr().out.split())
     assert main(EVALUATE) == 0

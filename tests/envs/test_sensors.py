@@ -3,6 +3,7 @@
 import re
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,6 +101,24 @@ def test_another_sensor_replaces_all_numbers_and_no_touch_takes_them_away():
     assert taxels(other) == {**USUAL, "taxel_dead": 0.05}
     assert taxels(sensors.choose(config, {"touch": "off"})) == USUAL
     assert sensors.choose(config, {"layout": "5"}).taxel_threshold == 0.98
+
+
+def test_a_sensors_numbers_follow_what_they_depend_on_but_for_what_was_chosen(tmp_path):
+    """As if all had been chosen at once."""
+    own = str(tmp_path / "own.toml")
+    Path(own).write_text("[sensor]\nthreshold_N = 0.3\nnoise_N = 0.005\ndelay_ms = 100\ndead = 0.5\n")
+    config = setup("shadow", sensor=own, control_dt=0.1, taxel_dead=0.2)
+    for change in (
+        {"control_dt": 0.05},
+        {"touch_rule": "force"},
+        {"control_dt": 0.05, "taxel_delay": 1},
+    ):
+        at_once = setup("shadow", sensor=own, taxel_dead=0.2, **{"control_dt": 0.1, **change})
+        assert sensors.choose(config, change) == at_once
+    felt = sensors.choose(setup("shadow", sensor=own, touch="off"), {"touch": "on"})
+    assert (felt.taxel_threshold, felt.taxel_dead) == (0.3, 0.5)
+    Path(own).unlink()  # nothing changes, so it is not read
+    assert sensors.choose(config, {"touch": "on", "layout": "5"}).taxel_threshold == 0.3
 
 
 def thresholds(**choices):

@@ -43,6 +43,8 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
     path.write_text("id,link,x,y,z,nx,ny,nz\n0,a,0,0.001,-0.02,,,\n1,a,0,0,-0.02,0,0,250\n")
     bare, long = taxel_files.read(path)
     assert (bare.normal, long.normal) == ((), (0.0, 0.0, 1.0))
+    path.write_text("link,x,y,z,threshold_N\na,0,0,0,0.3\n")
+    assert taxel_files.read(path)[0].threshold_N == 0.3
     path.write_text("link,x,y,z\na,0,0.001,-0.02\n")
     assert taxel_files.read(path)[0].radius == taxel_files.RADIUS
 
@@ -56,6 +58,14 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
             "line 2: found {'link': 'a', 'x': '0', 'y': '0'}, expected numbers as x, y",
         ),
         ("x,y,z\n0,0,0\n", "taxel 1.link: missing, allowed a string"),
+        (
+            "link,x,y,z,radius_mm\na,0,0,0,2\n",
+            "column: found 'radius_mm', allowed 'radius' (lengths in m)",
+        ),
+        (
+            "link,x,y,z,ny,nz\na,0,0,0,0,1\n",
+            "expected numbers as x, y, z and, where they are known, nx",
+        ),
     ],
 )
 def test_what_a_file_of_another_form_should_have_is_said(tmp_path, content, complaint):

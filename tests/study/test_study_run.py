@@ -136,6 +136,11 @@ class TestBeforeItStarts:
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
         fails_with(capsys, args, "measure: found test_success_rate, but the run has no tests")
 
+    def test_a_score_without_its_tests(self, tmp_path, capsys):
+        text = 'name = "x"\nscore = "test"\n[setups.x]\nenv = "lqr"\nn_test_episodes = 0\n'
+        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
+        fails_with(capsys, args, "score: found test, but n_test_episodes is 0")
+
     def test_a_layout_that_was_changed_since(self, tmp_path, capsys):
         layout = tmp_path / "own.toml"
         shutil.copy(CHOSEN / "shadow_touch_4.toml", layout)
@@ -149,6 +154,8 @@ class TestBeforeItStarts:
         assert "0 to do" in printed(capsys, args)  # each run has its own copy
         shutil.copy(CHOSEN / "shadow_touch_8.toml", layout)
         fails_with(capsys, args, "own.toml: found other taxels than when this run began")
+        run = str(next((out / "runs").glob("x_*[0-9]")))
+        assert main(["train", "--resume", run, "--total-timesteps", "2"]) == 0  # with its own
 
 
 class TestFailures:
