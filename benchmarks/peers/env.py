@@ -82,7 +82,12 @@ def bullet(steps: Steps) -> Contender:
     every timestep.
     """
     simulator, n_substeps = steps.env.simulator, steps.env.config.n_substeps
-    return steps.raw(lambda target: simulator._step(target, n_substeps))
+
+    def step(target: np.ndarray) -> None:
+        simulator._targets = target
+        simulator._advance(n_substeps)
+
+    return steps.raw(step)
 
 
 def gymnasium_robotics() -> Contender:

@@ -34,7 +34,7 @@ PPO_SIZES, DDPG_SIZES = (PPO_OBS - GOAL, PPO_ACTIONS), (DDPG_OBS - GOAL, DDPG_AC
 class RandomGoals(gym.Env[Any, Any]):
     """Random numbers in the right shapes; `n_obs` does not count the goals."""
 
-    max_episode_steps, n_boolean = STEPS, 0
+    max_episode_steps = STEPS
 
     def __init__(self, n_obs: int, n_actions: int) -> None:
         sizes = {"observation": n_obs, "achieved_goal": GOAL, "desired_goal": GOAL}

@@ -32,7 +32,7 @@ COLLECTED = [study for study in STUDIES if (DATA / f"{study}.tar.gz").is_file()]
 NONE = "no touch"
 LEARNERS, HANDS = ("ppo", "ddpg_her"), ("mpl", "shadow", "allegro")
 TEST, RUN = "last test", "mean over the run"
-WINDOWS = {"a fifth": (0.0, 0.2), "half": (0.3, 0.5), "all": (0.8, 1.0)}
+WINDOWS = {"first fifth": (0.0, 0.2), "30 to 50 %": (0.3, 0.5), "last fifth": (0.8, 1.0)}
 PREDICTORS = ("number of taxels", "area", "success at the first touch")
 MARGIN, DEAD = 0.05, 0.05
 N_RESAMPLES = 2_000
@@ -278,17 +278,24 @@ def show_predictors(study: str) -> None:
 
 
 def show_equivalence(study: str) -> None:
-    """Print whether few placed taxels are as good as each of the paper's layouts."""
+    """Print whether few placed taxels are as good as each of the paper's layouts.
+
+    "as good" and "equivalent" are true of all of them, "worse" of any, so its tests are
+    corrected for their number (Bonferroni).
+    """
     all_cells, rows = cells(study), []
     chosen = [name for name in layouts(all_cells) if name.endswith("chosen")]
     papers = [name for name in layouts(all_cells) if name not in chosen]
     for (name, of), few in itertools.product(parts_of(all_cells).items(), chosen):
-        pairs = [contrast(of, {few: 1.0, one: -1.0}, 0.90)[0] for one in papers]
+        pairs, corrected = (
+            [contrast(of, {few: 1.0, one: -1.0}, confidence)[0] for one in papers]
+            for confidence in (0.90, 1.0 - 0.10 / len(papers))
+        )
         low, high = min(pair.low for pair in pairs), max(pair.high for pair in pairs)
         verdict = "cannot tell"
         if low > -MARGIN:
             verdict = "equivalent" if high < MARGIN else "as good"
-        elif any(pair.high < -MARGIN for pair in pairs):
+        elif any(pair.high < -MARGIN for pair in corrected):
             verdict = "worse"
         rows.append((name, few, *(estimate(pair, "+.2f") for pair in pairs), verdict))
     markdown(f"| set-up | taxels | {' | '.join(f'− {one}' for one in papers)} | verdict |", rows)

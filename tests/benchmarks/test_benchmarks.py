@@ -5,6 +5,7 @@ import json
 import sys
 
 import pytest
+from benchmarks.peers.env import STEPS, Steps, bullet, mj_step
 from benchmarks.physics import hard_cases, hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
 from benchmarks.studies.layouts_study import part
@@ -21,6 +22,13 @@ def test_simulators_with_other_settings():
     assert engine.get("contactERP") != 0.4
     with environment("mpl", "mujoco", 0.05, Setting(timestep=2, options={"iterations": 7})) as env:
         assert env.simulator.model.opt.iterations == 7
+
+
+@pytest.mark.pybullet
+def test_a_simulator_is_stepped_alone():
+    for contender, simulator in ((bullet, "pybullet"), (mj_step, "mujoco")):
+        steps = Steps("mpl", "6", simulator=simulator, control_dt=1 / 240)
+        assert contender(steps)() == STEPS
 
 
 def test_verdicts_on_objects_that_vary():
