@@ -153,8 +153,11 @@ class BatchLearner:
     networks: Sequence[Networks]
     """All that must stay finite."""
 
-    def __init__(self, learners: Sequence[Any], env: Any) -> None:
-        """Stack learners whose configurations are `alike`; `env` has the same worlds for each.
+    def __init__(self, learners: Sequence[Any], env: Any, test_env: Any = None) -> None:
+        """Stack learners whose configurations are `alike`; `env` has as many worlds for each.
+
+        Episodes without exploration are played in `test_env`, if there is one: it may
+        have more worlds.
 
         It is Gymnasium's VectorEnv with autoreset off, whose observations are tensors;
         of worlds whose episodes have ended, it says False. Where its info has
@@ -162,7 +165,7 @@ class BatchLearner:
         so no more, and all actions but its first are ignored. The episode ends with
         that step.
         """
-        self.learners, self.env = learners, env
+        self.learners, self.env, self.test_env = learners, env, test_env or env
         self.n_worlds = env.num_envs // len(learners)
         self.device = torch.device(env.device)
         self.cycles_per_epoch = learners[0].cycles_per_epoch
@@ -184,8 +187,7 @@ class BatchLearner:
         self.pads = [self.n_inputs - one.n_inputs for one in learners]
         """Number of inputs that each run does not have; here they come first, and are
         zero."""
-        pads = np.repeat(self.pads, self.n_worlds)[:, None]
-        order = (np.arange(self.width) - pads) % self.width
+        order = (np.arange(self.width) - np.c_[self.pads]) % self.width
         self.order = torch.tensor(order, device=self.device)
         self.failures, self.on = dict[int, str](), list[int]()
         self.actor = self.stacked("actor", "actor_adam")
@@ -282,6 +284,7 @@ class BatchLearner:
         Or `n` episodes of each, without exploration.
         """
         self.look()
+        env = self.env if n is None else self.test_env
         episodes, first = {i: list[Episode]() for i in keys}, 0
 
         def wants_more(i: int) -> bool:
@@ -290,21 +293,21 @@ class BatchLearner:
             return bool(self.tried(i, self.learners[i].wants_more, episodes[i]))
 
         while keys:
-            for i, episode in self._wave(keys, first, n is None):
+            for i, episode in self._wave(env, keys, first, n is None):
                 if wants_more(i):
                     episodes[i].append(episode)
             keys = {i: key for i, key in keys.items() if wants_more(i)}
-            first += self.n_worlds
+            first += env.num_envs // len(self.learners)
         return episodes
 
     def _wave(
-        self, keys: Mapping[int, Key], first: int, explores: bool
+        self, env: Any, keys: Mapping[int, Key], first: int, explores: bool
     ) -> Iterator[tuple[int, Episode]]:
         """Play an episode, number `first` and following, in each world of the runs with keys.
 
         Yields them by run.
         """
-        env, n_worlds = self.env, self.n_worlds
+        n_worlds = env.num_envs // len(self.learners)
         rngs = {
             i * n_worlds + w: np.random.default_rng([*key, first + w])
             for i, key in keys.items()
@@ -348,7 +351,9 @@ class BatchLearner:
             self.tried(i, finite, mine, OBS)
             self.tried(i, finite, rewards[world, :length], REWARD)
             episode = Episode(
-                obs=mine,
+                obs=mine
+                if explores
+                else [],  # those of all tests would fill the memory
                 actions=actions[world, :length],  # type: ignore[arg-type]
                 rewards=rewards[world, :length].tolist(),
                 terminated=bool(terminated[world]),
@@ -359,7 +364,8 @@ class BatchLearner:
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
         """Return what is kept of observations, where what a run does not have comes first."""
-        own = obs["observation"].take_along_dim(self.order, dim=1)
+        own: Any = obs["observation"].unflatten(0, (len(self.learners), -1))
+        own = own.take_along_dim(self.order[:, None], dim=2).flatten(0, 1)
         return torch.cat([own, *(obs[key] for key in self.view[1:])], dim=-1)
 
 

@@ -33,7 +33,7 @@ from .grid import Run
 from .records import StudyFiles
 
 DEVICE = "cuda"  # in tests "loop": MuJoCo in a loop on the CPU
-MAX_WORLDS = 16_384  # of a batch
+MAX_WORLDS = 16_384  # of a batch, and of its tests
 MAX_REPLAY = 16_000_000_000  # bytes of a batch, which has all episodes on the GPU
 STEP_BYTES = 2_500  # of a step with 139 taxels at four times
 NO_MEMORY = "out of memory", "Failed to allocate"  # in the errors of PyTorch and Warp
@@ -156,8 +156,7 @@ class _Training:
         about = {"runs": len(runs), "device": device}
         algorithm = algos.get(first.run.algo)[1]
         with input_errors():
-            groups: Any = [(config.place[1], n) for config in configs]
-            env = BatchEnv(first.place[0], groups, DEVICE, autoreset=False)
+            env = self._worlds(configs, n)
             for run, config, single in zip(runs, configs, env.singles, strict=True):
                 options = config.run.seed, config.run.total_timesteps, env.device
                 one = algorithm(config.learner, vector.Workers(single), alone, *options)
@@ -165,8 +164,18 @@ class _Training:
                 epoch = training.begin(checkpoint, config, about)
                 self.members.append(_Member(run, checkpoint, epoch))
         singles = [one.checkpoint.learner for one in self.members]
-        self.learner = learners.BATCHED[algorithm](singles, env)
+        # Tests have more episodes than a cycle, so they have worlds of their own.
+        n_tests = max(self.n_test_episodes, singles[0].n_tests)
+        n_tests = min(n_tests, MAX_WORLDS // len(runs))
+        test_env = self._worlds(configs, n_tests) if n_tests > n else None
+        self.learner = learners.BATCHED[algorithm](singles, env, test_env)
         self.saved = time.monotonic()
+
+    @staticmethod
+    def _worlds(configs: Sequence[RunConfig], n: int) -> BatchEnv:
+        """Return `n` worlds for each run."""
+        groups: Any = [(config.place[1], n) for config in configs]
+        return BatchEnv(configs[0].place[0], groups, DEVICE, autoreset=False)
 
     def train(self) -> int:
         """Train until all runs have their steps, or have failed; return the exit code."""

@@ -36,6 +36,7 @@ from ..errors import (
 from ..machine import allow_open_files, free_cores
 from ..runs.config import RunConfig
 from ..runs.training import make_algorithm
+from . import batch
 from .grid import Run
 from .records import StudyFiles
 
@@ -114,8 +115,8 @@ def executor(
 ) -> Iterator[concurrent.futures.Executor]:
     """Start the executor that `--on` names, for runs of so many processes (`ranks`) each.
 
-    Raises InputError where it is not known or cannot be reached, or for flags that are
-    another's.
+    Raises InputError where it is not known or cannot be reached, a worker has no GPU that
+    it needs, or for flags that are another's.
     """
     if not on.startswith((DASK, DASK_GPU)) and on not in (LOCAL, GPU):
         allowed = f"{LOCAL}, {GPU}, {DASK}ADDRESS, {DASK_GPU}ADDRESS"
@@ -146,6 +147,11 @@ def executor(
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with client, interrupts_in_order():
         try:
+            if is_gpu(on):
+                tried = client.run(batch.require_device, on_error="return")
+                for worker, error in tried.items():
+                    if error is not None:
+                        raise InputError(f"--on {on}: worker {worker}: {error}")
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
             raise OSError(

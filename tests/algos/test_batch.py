@@ -145,7 +145,8 @@ def test_run_i_of_a_batch_is_the_single_run(algo, config, rates, tolerance, worl
     seen, configs = (0, 2, 1), [replace(config, actor_lr=rate) for rate in rates]
     make = [(algo, one, seed, n) for one, seed, n in zip(configs, (5, 6, 7), seen, strict=True)]
     alone, learners = ([single(*args) for args in make] for _ in range(2))
-    many = batch.BATCHED[type(learners[0])](learners, PointBatch(seen, worlds))
+    envs = PointBatch(seen, worlds), PointBatch(seen, 3)
+    many = batch.BATCHED[type(learners[0])](learners, *envs)
     if algo == "ddpg_her":
         many.memory = many.memory[:, :1]  # grows
     for _ in range(5):

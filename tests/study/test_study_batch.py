@@ -84,7 +84,7 @@ def test_a_study_of_batches_has_the_folders_of_any_study(tmp_path, in_a_loop, ca
 
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="no Dask")
-def test_a_worker_of_dask_trains_a_batch(tmp_path, in_a_loop, capsys):
+def test_a_worker_of_dask_trains_a_batch(tmp_path, in_a_loop, monkeypatch, capsys):
     import distributed
 
     text = STUDY.partition("[setups.ddpg_her]")[0]
@@ -95,6 +95,11 @@ def test_a_worker_of_dask_trains_a_batch(tmp_path, in_a_loop, capsys):
         args = ["study", "run", study, "--out", out, "--on", f"dask-gpu:{cluster.scheduler_address}"]
         assert main([*map(str, args)]) == 0
         fails_with(capsys, [*args, "--jobs", "2"], "--jobs: found 2")
+        monkeypatch.setattr(batch, "DEVICE", "cuda")
+        fails_with(
+            capsys, [*args[:4], tmp_path / "none", *args[5:]], "--on dask-gpu:", "worker", "found no"
+        )
+        assert not (tmp_path / "none").exists()
     (log,) = (out / "runs").glob("*.log")
     assert "batch mpl ppo: 4 runs" in log.read_text()
     assert [one.state for one in records.load(out)[1]] == 4 * ["done"]
