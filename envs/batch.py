@@ -260,6 +260,8 @@ class BatchEnv(gym.vector.VectorEnv[Any, Any, Any]):
             self._desired[first] = np.broadcast_to(desired, achieved.shape)[first]
             self._give(np.where(first, 0, -1))
         for worlds, observer in self._observers:
+            if not which[worlds].any():  # it may never have begun an episode
+                continue
             seen, begins = state.map(itemgetter(worlds)), first[worlds]
             if begins.any():
                 rngs = self._observer_draws.rngs[worlds]

@@ -29,7 +29,7 @@ from .algos.policy import Policy, Spaces
 from .envs import validation, vector
 from .envs.layouts import Layout
 from .envs.validation import require_known
-from .machine import free_cores
+from .machine import WorkerCount, free_cores
 from .runs import evaluation, policies, training
 from .runs.config import RunConfig, RunOptions
 from .runs.store import resolve
@@ -247,6 +247,7 @@ def _start(env: Env, workers: int | None) -> vector.Workers:
 
     Raise ValueError for an environment that cannot be made, or not side by side.
     """
+    validation.require_type(workers, WorkerCount, "workers")
     if isinstance(env, gym.Env):
         if workers not in (None, 1):
             raise ValueError(

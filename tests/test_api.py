@@ -222,6 +222,7 @@ MISTAKES = [
     (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
     (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
     (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
+    (lambda: tactilerl.evaluate(short(), Short(), workers=0), r"workers: found 0, allowed \[1, 256\]"),
     (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "cannot write 'no/folder.pt'"),
     (lambda: tactilerl.PPO("lqr").policy().act([1, 2, 3]), r"\(3,\), expected \(2,\), or a batch"),
     (lambda: tactilerl.PPO("lqr").policy().act([1, np.nan]), "obs: not finite"),

@@ -182,14 +182,18 @@ def test_noise_after_a_reset_in_the_middle_is_the_one_of_grasp_env() -> None:
     reach: Any = dict(task="reach-goal", max_episode_steps=40, touch="on")
     made: Any = envs.make("shadow", simulator="mujoco", **reach, **choices)
     first = made.unwrapped.config
-    batch: Any = BatchEnv("shadow", [(first, 2)], "loop", autoreset=False)
-    alone = [GraspEnv("shadow", first) for _ in "ab"]
+    other = replace(first, layout="6")  # has begun no episode yet while the first group plays
+    batch: Any = BatchEnv("shadow", [(first, 2), (other, 1)], "loop", autoreset=False)
+    alone = [GraspEnv("shadow", config) for config in (first, first, other)]
+    begins, playing = {0: [0, 1], 5: [1], 8: [2]}, set[int]()
     for step in range(40):
-        for i in {0: [0, 1], 5: [1]}.get(step, []):
-            batch.reset(seed=step + i, options={"reset_mask": np.arange(2) == i})
+        for i in begins.get(step, []):
+            batch.reset(seed=step + i, options={"reset_mask": np.arange(3) == i})
             alone[i].reset(seed=step + 2 * i)
-        obs, *_ = batch.step(np.zeros((2, 23)))
-        for i, env in enumerate(alone):
+            playing.add(i)
+        obs, *_ = batch.step(np.zeros((3, 23)))
+        for i in playing:
+            env = alone[i]
             expected = env.step(np.zeros(23))[0]["observation"]
             np.testing.assert_allclose(row(obs, i)["observation"], expected, atol=1e-5)
 
