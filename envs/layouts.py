@@ -165,6 +165,10 @@ class PatchTable:
             raise ValueError(
                 "patch: needs either offsets_mm or rows, columns, pitch_mm"
             )
+        if () in (self.digits, self.segments):
+            raise ValueError(
+                "patch: found an empty list of digits or segments; left out, it means all"
+            )
         pitch = self.pitch_mm or 0.0
         places = self.offsets_mm or product(
             (pitch * (row - (self.rows - 1) / 2) for row in range(self.rows)),
@@ -324,14 +328,18 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
 def off_skin(taxels: Taxels, hand: Hand) -> list[str]:
     """Return names of the taxels that nothing carries.
 
-    Those of grids lie beyond an end of their segment; the spheres of points do not
+    Those of grids lie beyond an edge of their segment; the spheres of points do not
     reach the skin of their link.
     """
     names, places = [], zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
-    for point, (index, (row, _, height)) in zip(taxels.points, places, strict=True):
+    for point, (index, (row, column, height)) in zip(taxels.points, places, strict=True):
         surface = hand.surfaces[index]
         low, high, half_width = surface.span
-        distance = max(low - row, row - high) - half_width
+        distance = max(low - row, row - high)
+        if surface.bone is not None:
+            distance -= half_width  # its ends are round
+        elif not surface.geoms:
+            distance = max(distance, abs(column) - half_width)
         if height:
             distance = abs(surface.skin(np.array(point.position))[0])
         if distance > point.radius:

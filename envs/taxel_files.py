@@ -96,6 +96,8 @@ def _require_unit(column: str) -> None:
 
 def _table(row: dict[str, str], line: int) -> dict[str, Any]:
     """Return the table that a row of a CSV file stands for."""
+    if None in row:  # of DictReader: what is left over
+        raise ValueError(f"line {line}: found more cells than columns")
     cells = {name.strip(): cell for name, cell in row.items() if name and cell}
     table: dict[str, Any] = {k: cells[k] for k in ("link", "name") if k in cells}
     try:

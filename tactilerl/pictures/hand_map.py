@@ -1,6 +1,7 @@
 """Say where taxels are on a hand: as places, in words, and drawn on the hand unrolled.
 
-Unrolled, its palmar side is a column a digit, fingertips up.
+Unrolled, it is a column a digit, seen from the palmar side, fingertips up: a right hand's
+thumb is on the right.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def described(taxels: Taxels, hand: Hand) -> list[str]:
         for aim in aims[name]:
             ahead = (placed(data, aim.link, aim.centre) - middle) @ across
             return f"{'towards' if column * ahead > 0 else 'away from'} the {name}"
-        return "to the right" if column > 0 else "to the left"
+        return "to the left" if column > 0 else "to the right"  # as on the map
 
     words = []
     for place in places(taxels):
@@ -132,7 +133,7 @@ def panels(hand: Hand) -> list[Panel]:
     below them.
     """
     spans = [np.multiply(1e3, surface.span).tolist() for surface in hand.surfaces]
-    columns = sorted(hand.digits, key=lambda digit: (*DIGITS, digit).index(digit))
+    columns = _from_the_left(hand)
     middles: dict[str, float] = {}
     right = 0.0
     for digit in columns:
@@ -155,6 +156,23 @@ def panels(hand: Hand) -> list[Panel]:
         tops[surface.digit] = y + high + PANEL_GAP
         drawn.append(Panel(x, y, half_width, low, high))
     return drawn
+
+
+def _from_the_left(hand: Hand) -> list[str]:
+    """Return the digits in the order in which one sees them from the palmar side."""
+    digits = sorted(hand.digits, key=lambda digit: (*DIGITS, digit).index(digit))
+    bases = {surface.digit: surface for surface in reversed(hand.surfaces)}
+    data, (first, last) = at_start(hand), (bases[digits[0]], bases[digits[-1]])
+    origin, ahead, leftward = (
+        placed(data, link, point)
+        for link, point in (
+            (last.link, last.centre),
+            (first.link, first.centre),
+            (last.link, last.centre + last.across),
+        )
+    )
+    is_left = (ahead - origin) @ (leftward - origin) > 0.0
+    return digits if is_left else digits[::-1]
 
 
 class Unrolled:
@@ -185,7 +203,8 @@ class Unrolled:
     def point(self, place: Place) -> tuple[float, float]:
         """Return where a taxel lies on the map, mm."""
         panel = self.panels[place.surface]
-        return panel.x + place.column, panel.y + place.row
+        # Columns are counted to the left: `across` is palmar x along.
+        return panel.x - place.column, panel.y + place.row
 
 
 class TaxelMap:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from ..envs import hands, layouts, scenes, sensors, tasks, validation
 from ..envs.grasp import GraspConfig, setup
-from ..envs.hands import Hand, Surface
+from ..envs.hands import Hand, Point, Surface
 from ..envs.hands.geometry import placed
 from ..envs.layouts import Layout, Patch, Taxels
 from ..envs.observations import TaxelFaults
@@ -145,7 +145,10 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     """Return the taxels that may be chosen; ValueError where there are none."""
     segments = {surface.segment for surface in hand.surfaces}
     names = [
-        {*_names(surface), *({surface.digit} - segments)} for surface in hand.surfaces
+        _names(surface)
+        # The palm under a digit is not part of it.
+        | ({surface.digit} - segments if surface.segment != "palm" else set())
+        for surface in hand.surfaces
     ]
     require_known(flags.only, set().union(*names))
     is_allowed = [not flags.only or bool(each & {*flags.only}) for each in names]
@@ -235,13 +238,28 @@ def fitted(taxels: Taxels, **changes: float | None) -> Taxels:
 
 
 def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
-    """Return the taxels of all sets, one set after the other, and the indices of each set's."""
-    points = tuple(point for taxels in sets for point in taxels.points)
+    """Return the taxels of all sets, one set after the other, and the indices of each set's.
+
+    One that has the name of a taxel in another place gets a number behind its name.
+    """
+    points, spots = list[Point](), dict[str, Any]()
+    for point in (point for taxels in sets for point in taxels.points):
+        spot, names = spot_of(point), (f"{point.name} {n}" for n in count(2))
+        name = point.name
+        while spots.setdefault(name, spot) != spot:
+            name = next(names)
+        points.append(point._replace(name=name))
     surfaces = np.concatenate([taxels.surfaces for taxels in sets])
     offsets = np.concatenate([taxels.offsets for taxels in sets])
     ends = np.cumsum([len(taxels) for taxels in sets])
     parts = np.split(np.arange(len(points)), ends[:-1])
-    return Taxels(points, surfaces, offsets), [part.tolist() for part in parts]
+    taxels = Taxels((*points,), surfaces, offsets)
+    return taxels, [part.tolist() for part in parts]
+
+
+def spot_of(point: Point) -> Any:
+    """Return what taxels in one place have in common, whatever their size."""
+    return point.link, *map(layouts.mm, point.position)
 
 
 def overlap(hand: Hand, taxels: Taxels) -> Array:
@@ -303,6 +321,8 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
             require_known(group.digits, hand.digits)
             require_known(group.segments, set().union(*map(_names, hand.surfaces)))
             require_known(group.taxels, taxels.names)
+            if not (group.taxels or group.digits or group.segments):
+                raise ValueError(f"group {group.name!r}: found no taxel, digit or segment")
     members = [
         [
             name in group.taxels
@@ -433,7 +453,7 @@ class Pool:
         skin, (existing, chosen_from, *beside) = joined([there, fit, *named])
         skin = fitted(skin, threshold_N=first.taxel_threshold)
         # Whatever its size, no taxel is chosen where there is one.
-        spots = [(p.link, *map(layouts.mm, p.position)) for p in skin.points]
+        spots = [*map(spot_of, skin.points)]
         taken = {spots[index] for index in existing}
         own = existing + chosen_from
         free = np.array([spots[i] not in taken for i in own])
@@ -480,6 +500,8 @@ class Pool:
     def sizes(self) -> list[tuple[int, int]]:
         """Return how many taxels, and on how many boards, sets may have; 0 boards: any number."""
         numbers, budget = self.flags.numbers, self.flags.budget
+        if not self.free.any():
+            raise ValueError("skin: found no place that may still be chosen")
         if self.prices is None or budget is None:
             return [(n, 0) for n in numbers]
         return self.prices.sizes(np.flatnonzero(self.free).tolist(), numbers, budget)

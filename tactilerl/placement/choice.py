@@ -334,16 +334,17 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
             taxels = cover.choose(starts, n_existing + n, pool.existing, fits, losses)
             success = cover.value(starts, taxels)
             sets.append((cover.score(starts, taxels, losses), success, taxels))
-        score, success, taxels = max(sets, key=lambda found: found[0])
+        score, success, taxels = max(sets, key=lambda found: (len(found[2]), found[0]))
         placed = taxels[n_existing:]
-        if len(placed) < n and pool.flags.budget is None:
-            raise ValueError(
-                f"taxels: found {n}, allowed up to {len(placed)}; no room was found for more of this "
-                "radius"
-            )
         price = pool.prices.of(placed) if pool.prices else None
         key = len(placed) if pool.flags.budget is None or price is None else price
         picks.append(Pick(key, len(placed), boards, price, taxels, score, success))
+    numbers, most = pool.flags.numbers, max(pick.n for pick in picks)
+    least = numbers[-1] if pool.flags.budget is None else numbers[0]
+    if most < least:
+        raise ValueError(
+            f"taxels: found {least}, allowed up to {most}; no room was found for more"
+        )
     if pool.flags.budget is None:
         return picks
     better: list[Pick] = []

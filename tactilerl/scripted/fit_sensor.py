@@ -28,6 +28,7 @@ WINDOW = 0.05  # s before an event, in which the force is taken for a line
 MIN_PRESSES = 3
 MIN_SPECIMENS = 5  # from which their spread is told
 RESAMPLES, PERCENT = 999, (2.5, 97.5)
+RECENT, STILL = 1.0, 0.1  # s, and a share of the fastest speed in that time
 MIN_RATIO = 2.0  # of the speeds of the fastest and the slowest press
 ASKED = "allowed a log as the guide to sensors describes"
 
@@ -138,11 +139,13 @@ def _pressed(time: Array, force: Array, reading: Array) -> tuple[Array, float]:
     if not fires.any():
         raise ValueError(f"the reading never leaves its rest, {ASKED}")
     cuts = [0, *((ends[:-1] + begins[1:]) // 2), len(time) - 1]
-    presses = []
+    presses, speed = [], np.gradient(smooth, time)
     for begin, end in pairwise(cuts):
         firing = begin + np.flatnonzero(fires[begin:end])
         if len(firing) and not (fires[begin] or fires[end]):
             fired, stopped = firing[0], firing[-1] + 1
+            _require_moving(time, speed, fired)
+            _require_moving(time, -speed, stopped)
             line = (
                 *_line_before(time, force, fired),
                 *_line_before(time, force, stopped),
@@ -162,6 +165,20 @@ def _pressed(time: Array, force: Array, reading: Array) -> tuple[Array, float]:
         return np.array(presses), 0.0
     gain, _ = np.polyfit(force[fires], reading[fires], 1)
     return np.array(presses), float(rest.std() / abs(gain))
+
+
+def _require_moving(time: Array, speed: Array, event: int) -> None:
+    """Raise ValueError where the force had stopped before the reading followed.
+
+    `speed` (n,), N/s, is above 0 where it moves the way that changes the reading. The
+    delay is estimated from the speed at the change, so the force must still move then.
+    """
+    recent = speed[(time > time[event] - RECENT) & (time < time[event])]
+    if recent[-1] < STILL * recent.max():
+        raise ValueError(
+            f"at {time[event]:.2f} s the reading changes after the force has come to rest, allowed "
+            "presses and releases slow enough to go on until it does"
+        )
 
 
 def _line_before(time: Array, force: Array, event: int) -> tuple[float, float]:

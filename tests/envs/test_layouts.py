@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tactilerl.envs import hands, layouts
-from tactilerl.pictures.hand_map import LIT, TaxelMap
+from tactilerl.pictures.hand_map import LIT, TaxelMap, Unrolled, places
 
 HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
@@ -150,3 +150,26 @@ def test_the_map_of_a_hand_lights_the_taxels_that_fire(hand):
     changed = [(drawn.picture(one) != dark).any(axis=-1) for one in np.eye(len(taxels), dtype=bool)]
     alone = np.sum(changed, axis=0) == 1  # neighbours may overlap: they have their true size
     assert all((places & alone).any() for places in changed)  # every taxel is seen
+
+
+@pytest.mark.parametrize("hand", ["shadow", "mpl", "allegro"])
+def test_the_map_of_a_hand_is_what_one_sees_from_the_palmar_side(hand):
+    """What is printed is drilled by: right is right where one looks against the normals, tips up."""
+    built = hands.get(hand)
+    taxels, drawn = layouts.load("1").place(built), Unrolled(built)
+    on_map = np.array([drawn.point(place) for place in places(taxels)])
+    for index, surface in enumerate(built.surfaces):
+        mine = np.flatnonzero(taxels.surfaces == index)
+        if surface.segment == "palm" or len(mine) < 9:
+            continue
+        middle, rows, columns = mine[len(mine) // 2], *taxels.offsets[mine, :2].T
+        assert not taxels.offsets[middle].any()
+        up = taxels.positions[mine[(rows > 0) & (columns == 0)]][0] - taxels.positions[middle]
+        right = np.cross(-taxels.normals[middle], up)
+        seen = (taxels.positions[mine] - taxels.positions[middle]) @ right
+        found = np.sign((on_map[mine] - on_map[middle]).round(6))
+        assert (found == np.sign([seen.round(9), rows]).T).all()
+    palm = [i for i in np.argsort(on_map[:, 0]) if "palm" in taxels.names[i]]
+    normal, along = taxels.normals[palm[0]], built.surfaces[taxels.surfaces[palm[0]]].along
+    from_left = taxels.positions[palm] @ np.cross(-normal, along)
+    assert (np.diff(from_left) > 0).all()
