@@ -332,7 +332,9 @@ def off_skin(taxels: Taxels, hand: Hand) -> list[str]:
     reach the skin of their link.
     """
     names, places = [], zip(taxels.surfaces.tolist(), taxels.offsets, strict=True)
-    for point, (index, (row, column, height)) in zip(taxels.points, places, strict=True):
+    for point, (index, (row, column, height)) in zip(
+        taxels.points, places, strict=True
+    ):
         surface = hand.surfaces[index]
         low, high, half_width = surface.span
         distance = max(low - row, row - high)

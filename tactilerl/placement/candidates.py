@@ -322,7 +322,9 @@ def groups_of(kind: str, hand: Hand, taxels: Taxels, flag: str) -> Groups:
             require_known(group.segments, set().union(*map(_names, hand.surfaces)))
             require_known(group.taxels, taxels.names)
             if not (group.taxels or group.digits or group.segments):
-                raise ValueError(f"group {group.name!r}: found no taxel, digit or segment")
+                raise ValueError(
+                    f"group {group.name!r}: found no taxel, digit or segment"
+                )
     members = [
         [
             name in group.taxels

@@ -143,6 +143,11 @@ GOOD = log(0.3, 0.2, delay=0.02, noise=0.02, seed=0)
         (broken(GOOD, force=lambda f: f + 1.5), None, "the force at rest is 1.5 N: tare it"),
         (broken(GOOD, reading=lambda r: 0 * r), None, "the reading never leaves its rest"),
         (broken(GOOD, reading=lambda r: np.where(r == r.max(), np.nan, r)), None, "found NaN"),
+        (
+            log(0.3, 0.2, 0.45, 0.02, seed=0),
+            None,
+            "the reading changes after the force has come to rest",
+        ),
         (GOOD[480:], None, "found less than 1 s of rest"),
         (GOOD[:2], None, "lines: found 2"),
         (broken(GOOD, force=lambda f: 1e3 * f), None, "N, allowed up to 100 N"),

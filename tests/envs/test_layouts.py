@@ -64,6 +64,9 @@ def test_taxels_beyond_their_segment_are_named(hand):
         far = layouts.parse({"patch": [{**patch, "offsets_mm": [offset, [0, 0]]}]}, Path("far.toml"))
         taxels = far.place(hand)
         assert layouts.off_skin(taxels, hand) == [taxels.names[0]]
+    palm = {"digits": ["index"], "segments": ["palm"], "radius_mm": 2, "offsets_mm": [[0, 45], [0, 0]]}
+    taxels = layouts.parse({"patch": [palm]}, Path("beside.toml")).place(hand)
+    assert layouts.off_skin(taxels, hand) == [taxels.names[0]]
 
 
 def test_grids_are_the_papers_figure():
@@ -99,6 +102,7 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("distal", "tip"), "found 'tip', allowed: proximal"),
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "offsets_mm: found [0], allowed a list"),
+        ("[[patch]]\n" + GOOD.replace('"distal"', ""), "found an empty list of digits or segments"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[]"), "needs either offsets_mm or rows"),
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
         ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),

@@ -57,6 +57,7 @@ def test_a_csv_may_have_further_columns_and_no_normals_or_long_ones(tmp_path):
             "link,x,y\na,0,0\n",
             "line 2: found {'link': 'a', 'x': '0', 'y': '0'}, expected numbers as x, y",
         ),
+        ("link,x,y,z\na,0,001,0,002\n", "line 2: found more cells than columns"),
         ("x,y,z\n0,0,0\n", "taxel 1.link: missing, allowed a string"),
         (
             "link,x,y,z,radius_mm\na,0,0,0,2\n",

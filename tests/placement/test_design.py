@@ -192,6 +192,18 @@ class TestSizes:
         layout = layouts.of_taxels(pool.skin.take(pool.whole), pool.hand, "all")
         assert len(layouts.load(layout.toml()).place(pool.hand)) == len(pool.whole)
 
+    def test_taxels_of_one_name_in_two_places_are_two(self, tmp_path):
+        """As the taxels of two CSV files are that say no names."""
+        link, files = hands.get("mpl").surfaces[0].link, (tmp_path / "a.csv", tmp_path / "b.csv")
+        for file, x in zip(files, (0.001, 0.009), strict=True):
+            file.write_text(f"link,x,y,z\n{link},{x},0,0\n{link},{x + 0.004},0,0\n")
+        keep, skin = map(str, files)
+        pool = Pool.of(DesignFlags(scene=("handover",), keep=keep, skin=skin, taxels="1"))
+        assert len({*pool.skin.take(pool.whole).names}) == len(pool.whole) == 4
+        assert (pool.losses.members[:, :4].sum(axis=1) <= 1).all()
+        layout = layouts.of_taxels(pool.skin.take(pool.whole), pool.hand, "all")
+        assert len(layouts.load(layout.toml()).place(pool.hand)) == 4
+
 
 class TestLosses:
     def test_digits_segments_and_groups(self, tmp_path):
@@ -213,6 +225,9 @@ class TestLosses:
         assert members[1].sum() == sum(at[1] == "palm" for at in on) + 1
         file.write_text('[[group]]\nname = "a"\ndigits = ["toe"]\n')
         with pytest.raises(ValueError, match="toe: unknown"):
+            groups_of(str(file), hand, taxels, "survives")
+        file.write_text('[[group]]\nname = "a"\n')
+        with pytest.raises(ValueError, match="group 'a': found no taxel, digit or segment"):
             groups_of(str(file), hand, taxels, "survives")
 
 
@@ -242,7 +257,9 @@ class TestCandidates:
             return {(hand.surfaces[i].digit, hand.surfaces[i].segment) for i in taxels.surfaces}
 
         assert where(only=("index.distal",)) == {("index", "distal")}
-        assert {digit for digit, _ in where(only=("index",))} == {"index"}
+        segments = {("index", name) for name in ("proximal", "middle", "distal")}
+        assert where(only=("index",)) == segments
+        assert where(only=("index", "index.palm")) == segments | {("index", "palm")}
         assert {segment for _, segment in where(only=("palm", "middle"))} == {"palm", "middle"}
 
     def test_what_a_flag_says_counts_then_the_sensors_file_then_the_scene(self, tmp_path):
@@ -398,6 +415,7 @@ class TestCommand:
             (["--budget", "13", "--sensor", "fsr"], "budget: found 13, allowed 13.9 or more, the"),
             (["--boards", "digit"], "boards: found digit, allowed with a --sensor that has a [cost]"),
             (["--boards", "two.toml", "--sensor", "fsr"], "in 0 of the groups of two.toml"),
+            (["--skin", "5", "--keep", "5"], "skin: found no place that may still be chosen"),
         ],
     )  # fmt: skip
     def test_what_cannot_be_is_one_line(self, args, named, capsys):
