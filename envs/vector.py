@@ -185,7 +185,7 @@ class Workers:
         self._opened.close()
 
 
-class WorkerDiedError(OSError):
+class WorkerDiedError(ChildProcessError):
     """A worker's process has ended, and nobody asked it to."""
 
 

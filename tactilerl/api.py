@@ -236,6 +236,9 @@ def train(
     FloatingPointError) when an observation, a reward, a loss or a parameter is no
     longer finite; the last checkpoint is kept.
     """
+    for name, folder in {"resume": resume, "out": out}.items():
+        if folder is not None and not str(folder):
+            raise ValueError(f"{name}: found '', allowed a folder")
     base = resolve(algo, env or "", recipe, scene, resume, out)
     named = {"env": env, "algo": algo, "out": None if out is None else str(out)}
     flags |= {name: value for name, value in named.items() if value is not None}

@@ -40,7 +40,7 @@ def input_errors(where: str = "") -> Iterator[None]:
     """Turn what library code raises over bad input into an InputError."""
     try:
         yield
-    except InputError:  # is one line already
+    except (InputError, ChildProcessError):  # one line already; no input's fault
         raise
     except (
         ValueError,

@@ -216,6 +216,7 @@ class TestTrain:
 MISTAKES = [
     (lambda: tactilerl.train("lqr", gamma=2), r"gamma: found 2.0, allowed \[0, 1\]"),
     (lambda: tactilerl.train(Short()), "env: found <"),
+    (lambda: tactilerl.train("lqr", resume=""), "resume: found '', allowed a folder"),
     (lambda: tactilerl.make("zork:Env-v0"), "No module named 'zork'"),
     (lambda: tactilerl.PPO(lambda: gym.make("Pendulum-v1"), workers=2), "or give workers=1"),
     (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),

@@ -18,6 +18,7 @@ import io
 import json
 import os
 import re
+import tomllib
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -130,7 +131,8 @@ class RunDir:
     def settled(self, config: RunConfig) -> RunConfig:
         """Return the configuration of a run here; InputError where another run is here already.
 
-        That is one of other values, or whose layout's file had other taxels.
+        That is one of other values, or whose own files of layout and hand said something
+        else, or a finished one whose last test was another.
         """
         if not os.path.exists(self.config_file):  # False for any name
             return config
@@ -140,16 +142,36 @@ class RunDir:
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
                 "makes another run)"
             )
+        if config.folder != self.path:  # resumed by its folder, its own copies count
+            self._require_same_files(config)
+        was, now = saved.run.n_test_episodes, config.run.n_test_episodes
+        rows = self.rows() if was != now else []
+        if rows and rows[-1]["env_steps"] >= config.run.total_timesteps:
+            raise InputError(
+                f"{self.path}: n_test_episodes: found {now}, the run has ended with a test of {was}"
+            )
+        return dataclasses.replace(config, folder=self.path, hand=saved.hand)
+
+    def _require_same_files(self, config: RunConfig) -> None:
+        """Raise InputError where a layout or a hand of one's own is not what the run's copy is."""
         layout, copy = config.layout_file, self.layout_file
-        is_resumed = config.folder == self.path  # by its folder: its own copy counts
-        if layout and layout.is_file() and copy.is_file() and not is_resumed:
+        if layout and layout.is_file() and copy.is_file():
             with input_errors():
                 was, now = (layouts.load(str(file)) for file in (copy, layout))
             if (was.patches, was.taxels) != (now.patches, now.taxels):
                 raise InputError(
                     f"{self.path}: layout {layout}: found other taxels than when this run began"
                 )
-        return dataclasses.replace(config, folder=self.path, hand=saved.hand)
+        hand, copy = Path(config.run.env), self.path / HAND_COPY
+        if hand.is_file() and copy.is_file():
+            with input_errors():
+                texts = copy.read_text("utf-8"), _hand_file(hand).decode()
+                was_file, file = map(tomllib.loads, texts)
+            # Paths differ where a study moves; the model is compared where it is read.
+            if was_file | {"model": ""} != file | {"model": ""}:
+                raise InputError(
+                    f"{self.path}: hand {hand}: found another file than when this run began"
+                )
 
     def create(self) -> None:
         """Make the folder where there is none; InputError where it holds something else."""

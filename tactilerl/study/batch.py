@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from ..algos import batch as learners
 from ..algos.mpi import Communicator
 from ..envs import tasks, vector
 from ..envs.batch import BatchEnv, require, shared
-from ..errors import BUSY, InputError, input_errors
+from ..errors import BUSY, BusyError, InputError, input_errors
 from ..runs import evaluation, training
 from ..runs.config import FINAL_TEST, RunConfig
 from ..runs.store import Checkpoint
@@ -142,8 +142,10 @@ class _Training:
         alone, configs = Communicator(), list[RunConfig]()
         for run in runs:
             run_dir = files.run_dir(run)
-            config = run_dir.settled(run.config().choose({"out": str(run_dir.path)}))
-            training.take(run_dir, config, held)
+            config = run.config().choose({"out": str(run_dir.path)})
+            with self._fails_alone(run):
+                config = run_dir.settled(config)
+                training.take(run_dir, config, held)
             configs.append(config)
         first, n = configs[0], n_worlds(configs[0])
         self.name = f"{Path(first.run.env).stem} {first.run.algo}"
@@ -161,7 +163,8 @@ class _Training:
                 options = config.run.seed, config.run.total_timesteps, env.device
                 one = algorithm(config.learner, vector.Workers(single), alone, *options)
                 checkpoint = Checkpoint(files.run_dir(run), one, alone)
-                epoch = training.begin(checkpoint, config, about)
+                with self._fails_alone(run):
+                    epoch = training.begin(checkpoint, config, about)
                 self.members.append(_Member(run, checkpoint, epoch))
         singles = [one.checkpoint.learner for one in self.members]
         # Tests have more episodes than a cycle, so they have worlds of their own.
@@ -170,6 +173,16 @@ class _Training:
         test_env = self._worlds(configs, n_tests) if n_tests > n else None
         self.learner = learners.BATCHED[algorithm](singles, env, test_env)
         self.saved = time.monotonic()
+
+    @contextmanager
+    def _fails_alone(self, run: Run) -> Iterator[None]:
+        """Record that a run cannot be gone on with, so that the others can without it."""
+        try:
+            yield
+        except InputError as error:
+            if not isinstance(error, BusyError):
+                self.files.write_failure(run, str(error))
+            raise
 
     @staticmethod
     def _worlds(configs: Sequence[RunConfig], n: int) -> BatchEnv:

@@ -41,6 +41,7 @@ from ..runs.config import RunConfig, configure
 from ..style import ROLES
 
 MAX_SEEDS = 100_000
+LONGEST_NAME = 245  # bytes; of a file with an ending, 255
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "score", "compare", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
@@ -195,6 +196,11 @@ def _study(data: dict[str, Any]) -> Study:
     ):
         raise ValueError("score: found test, but n_test_episodes is 0")
     for name, times in Counter(run.name for run in study.runs()).items():
+        if len(name.encode()) > LONGEST_NAME:
+            raise ValueError(
+                f"grid: found {len(name)} letters in a run's name, {name[:60]!r}...; shorter paths of "
+                "files make it shorter"
+            )
         if times > 1:
             raise ValueError(
                 f"grid: {times} runs would be called {name!r}; values must differ more"
@@ -230,14 +236,14 @@ def _seeds(values: list[Any]) -> list[int]:
     for part in ",".join(map(str, values)).split(","):
         first, _, last = part.partition("-")
         try:
-            more = range(int(first), int(last or first) + 1)
+            begin, end = int(first), int(last or first) + 1
         except ValueError:
             raise ValueError(
                 f'seed: found {part[:60]!r}, expected numbers and ranges, such as "0-9"'
             ) from None
-        if len(more) > MAX_SEEDS:
+        if end - begin > MAX_SEEDS:
             raise ValueError(f"seed: found {part!r}, allowed {MAX_SEEDS:,} seeds")
-        seeds += more
+        seeds += range(begin, end)
     return seeds
 
 

@@ -35,6 +35,7 @@ from ..errors import (
 )
 from ..machine import allow_open_files, free_cores
 from ..runs.config import RunConfig
+from ..runs.store import RunDir
 from ..runs.training import make_algorithm
 from . import batch
 from .grid import Run
@@ -88,6 +89,7 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
             config, run_dir = run.config(), files.run_dir(run)
             if run_dir.config_file.exists():
                 run_dir.settled(config)
+                _require_length(run_dir, config)
             elif run.place not in tried:
                 tried.add(run.place)
                 _try(run, config)
@@ -102,6 +104,15 @@ def _try(run: Run, config: RunConfig) -> None:
         learner.check()
     if run.measure.startswith("test_") and not learner.n_tests:
         raise InputError(f"measure: found {run.measure}, but the run has no tests")
+
+
+def _require_length(run_dir: RunDir, config: RunConfig) -> None:
+    """Raise InputError where a run was made for more steps than it should have now."""
+    now, was = (one.run.total_timesteps for one in (config, run_dir.read_config()))
+    if now < was:
+        raise InputError(
+            f"total_timesteps: found {now:,}, allowed from {was:,}: a run was begun with so many"
+        )
 
 
 def is_gpu(on: str) -> bool:
@@ -198,15 +209,17 @@ def make_done(job: Job) -> None:
 
 def _train(files: StudyFiles, job: Job) -> None:
     log = files.beside(job.runs[0], "log")
-    for _ in range(ATTEMPTS):
+    attempts = ATTEMPTS
+    while attempts:
         begin = log.stat().st_size if log.exists() else 0
         code = _process(log, job)
         left = [run for run in job.runs if not files.record(run).has_ended]
         if not left or code in (BUSY, *INTERRUPTED):
             return
+        if len(left) == len(job.runs):  # of a batch, some may have ended
+            # Of bad input, a second attempt mends nothing.
+            attempts = 0 if code in (0, BAD_INPUT) else attempts - 1
         job = replace(job, runs=(*left,))
-        if code in (0, BAD_INPUT):  # a second attempt mends none of these
-            break
     for run in job.runs:
         files.write_failure(run, reason(code, log, begin))
 

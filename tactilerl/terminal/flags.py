@@ -72,14 +72,19 @@ def peek(args: Sequence[str], *names: str) -> dict[str, str]:
     """Return the values of flags before all are known, "" for those that are not given.
 
     Some decide which other flags there are, and their defaults. InputError where one
-    has no value.
+    has no value, or an empty one.
     """
     parser = argparse.ArgumentParser(
         add_help=False, allow_abbrev=False, exit_on_error=False
     )
     for name in names:
-        parser.add_argument(f"--{name}", default="")
+        parser.add_argument(f"--{name}")
     try:
-        return vars(parser.parse_known_args(args)[0])
+        given = vars(parser.parse_known_args(args)[0])
     except argparse.ArgumentError as error:
         raise InputError(f"{error.argument_name}: {error.message}") from None
+    if empty := [name for name, value in given.items() if value == ""]:
+        raise InputError(
+            f"{empty[0]}: found an empty one; leave out --{empty[0]} instead"
+        )
+    return {name: value or "" for name, value in given.items()}

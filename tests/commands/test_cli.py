@@ -170,6 +170,12 @@ class TestResume:
         assert Path("run/config.json").read_bytes() == before
         assert "nothing to do; raise --total-timesteps" in printed(capsys, [*again, "240"])
 
+    @pytest.mark.parametrize("flag", ["resume", "out", "scene"])
+    def test_an_empty_name_starts_no_other_run(self, flag, capsys):
+        """As of a variable of the shell that is not set."""
+        fails_with(capsys, [*TOY, f"--{flag}", ""], f"{flag}: found an empty one")
+        assert not list(Path().iterdir())
+
     def test_a_recipe_is_where_the_other_flags_start(self, capsys):
         main([*TOY, "--recipe", "steady", "--gamma", "0.9", "--total-timesteps", "1", "--out", "run"])
         chosen = json.loads(Path("run/config.json").read_text())["learner"]

@@ -156,6 +156,26 @@ def test_a_run_that_diverges_leaves_the_others_of_its_batch(tmp_path, in_a_loop,
     assert "stopped: a loss or a parameter" in capsys.readouterr().out
 
 
+def test_a_run_that_is_damaged_leaves_the_others_of_its_batch(tmp_path, in_a_loop, monkeypatch, capsys):
+    study, out = write(tmp_path, STUDY.partition("[setups.ddpg_her]")[0]), tmp_path / "out"
+    args = ["study", "run", str(study), "--out", str(out), "--on", "gpu", "--jobs", "1"]
+    epoch = batch._Training.epoch
+
+    def is_interrupted(self):
+        epoch(self)
+        self.save()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch._Training, "epoch", is_interrupted)
+        assert main(args) == 1
+    bad = out / "runs/ppo_layout-1_s1/checkpoint.pt"
+    bad.write_bytes(bad.read_bytes()[:1000])
+    assert main(args) == 1
+    assert "failed: ppo_layout-1_s1: " in capsys.readouterr().out
+    assert sorted(one.state for one in records.load(out)[1]) == [*3 * ["done"], "failed"]
+
+
 def test_a_batch_that_is_interrupted_says_how_to_go_on(tmp_path, in_a_loop, monkeypatch, capsys):
     def ends(self, actions):
         raise KeyboardInterrupt

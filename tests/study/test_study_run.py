@@ -25,6 +25,7 @@ from study_records import interrupt, make_study
 from tiny_study import TINY, learned, trained, write
 
 CHOSEN = Path(__file__).resolve().parents[2] / "docs/data/chosen"
+GRIPPER = Path(__file__).parents[1] / "hands/gripper.toml"
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +157,35 @@ class TestBeforeItStarts:
         fails_with(capsys, args, "own.toml: found other taxels than when this run began")
         run = str(next((out / "runs").glob("x_*[0-9]")))
         assert main(["train", "--resume", run, "--total-timesteps", "2"]) == 0  # with its own
+
+    def test_a_hand_that_was_changed_since(self, tmp_path, capsys):
+        hand = tmp_path / "own.toml"
+        shutil.copy(GRIPPER.with_suffix(".xml"), tmp_path)
+        text = GRIPPER.read_text()
+        hand.write_text(text)
+        study = f'name = "x"\n[setups.x]\nenv = "{hand}"\ntotal_timesteps = 1\n'
+        study += 'simulator = "mujoco"\nsteps_per_epoch = 1\nhidden = [8]\nn_passes = 1\n'
+        study += "max_episode_steps = 2\nn_test_episodes = 1\n"
+        out = trained(tmp_path, study)
+        args = ["study", "run", tmp_path / "study.toml", "--out", out]
+        hand.write_text("# a comment\n" + text)
+        assert "0 to do" in printed(capsys, args)
+        hand.write_text(text.replace('_tip" = 0.4', '_tip" = 0.5'))
+        fails_with(capsys, args, "own.toml: found another file than when this run began")
+
+    @pytest.mark.parametrize(
+        ("was", "now", "said"),
+        [
+            ("= 200", "= 100", "total_timesteps: found 100, allowed from 200"),
+            ("_episodes = 3", "_episodes = 4", "n_test_episodes: found 4, the run has ended with a"),
+        ],
+    )
+    def test_other_lengths_and_tests_than_those_of_runs_that_are_there(
+        self, tmp_path, capsys, was, now, said
+    ):
+        out = trained(tmp_path)
+        study = write(tmp_path, TINY.replace(was, now))
+        fails_with(capsys, ["study", "run", study, "--out", out], said)
 
 
 class TestFailures:
