@@ -1,0 +1,84 @@
+"""Does the paper's first set-up learn with two values of its source? Tables of the collected study.
+
+python -m benchmarks paper_source
+
+The questions stand in studies/paper_source.toml. Runs of independent seeds are not compared in pairs.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import numpy as np
+from tactilerl.statistics import Array
+from tactilerl.study.analysis import scored
+from tactilerl.study.records import Record
+from tactilerl.study.report import p_value
+
+from benchmarks.command import DATA, markdown
+from benchmarks.studies.layouts_study import contrast
+from benchmarks.studies.study_tables import estimate, last_test, load, part
+
+STUDY, LIST = "paper_source", "paper"
+TOUCH = {"touch": 1.0, "no touch": -1.0}
+SOURCE = {"touch": 0.5, "no touch": 0.5, "list: touch": -0.5, "list: no touch": -0.5}
+SCORES = ("last test", "converged success", "mean over the run")
+
+
+@cache
+def groups() -> dict[str, list[Record]]:
+    """Return the finished runs with touch and without, and those of the paper's list alone."""
+    found = {}
+    for prefix, study in (("", STUDY), ("list: ", LIST)):
+        runs = [run for run in load(study)[1] if run.run.setup == "pybullet" and run.is_finished]
+        for name, touch in (("touch", "on"), ("no touch", "off")):
+            chosen = {"layout": "2", "touch": touch}
+            found[prefix + name] = [
+                run for run in runs if {k: str(run.run.flags[k]) for k in chosen} == chosen
+            ]
+    return found
+
+
+def cells(score: str) -> dict[str, Array]:
+    """Return a score of the runs (n,) of each group that has it."""
+    if score == "converged success":
+        by_seed = scored("converged", *groups().values())
+        return {name: np.array([*of.values()]) for name, of in zip(groups(), by_seed, strict=True)}
+    of_run = last_test if score == "last test" else partial(part, begin=0.0)
+    return {name: np.array([*map(of_run, runs)]) for name, runs in groups().items()}
+
+
+def show() -> None:
+    """Print what touch adds, and what the two values do."""
+    rows = []
+    for score in SCORES:
+        of = cells(score)
+        levels = [f"{of[name].mean():.2f}" for name in TOUCH]
+        (touch, p), (source, _) = (
+            contrast({("ppo", "mpl"): of}, weights) for weights in (TOUCH, SOURCE)
+        )
+        is_old = score == "last test"  # of which the older runs have none
+        levels += [estimate(touch, "+.2f"), p_value(p)]
+        older = [f"{of[name].mean():.2f}" for name in SOURCE if name not in TOUCH]
+        rows.append([score, *levels, *(["", "", ""] if is_old else [*older, estimate(source, "+.2f")])])
+    n = [len(groups()[name]) for name in SOURCE]
+    head = "| score | touch | no touch | touch − no touch | p | the list alone: touch | no touch |"
+    markdown(f"{head} source − list |", rows)
+    print(f"Runs: {n}")
+
+
+def show_rise() -> None:
+    """Print whether success still rises in the last fifth."""
+    runs = [run for name in TOUCH for run in groups()[name]]
+    rise = np.array([part(run, 0.8) - part(run, 0.6, 0.8) for run in runs])
+    value, _ = contrast({("ppo", "mpl"): {"rise": rise}}, {"rise": 1.0})
+    last, dead = (np.array([*map(of, runs)]) for of in (partial(part, begin=0.8), last_test))
+    row = [len(runs), f"{last.mean():.2f}", estimate(value, "+.3f"), f"{(dead < 0.05).sum()}"]
+    markdown("| runs | success over the last fifth | minus the fifth before | last test below 0.05 |", [row])
+
+
+TABLES = (
+    {"paper source": show, "paper source rise": show_rise}
+    if (DATA / f"{STUDY}.tar.gz").is_file()
+    else {}
+)
