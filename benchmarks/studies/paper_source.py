@@ -61,10 +61,8 @@ def show() -> None:
         levels += [estimate(touch, "+.2f"), p_value(p)]
         older = [f"{of[name].mean():.2f}" for name in SOURCE if name not in TOUCH]
         rows.append([score, *levels, *(["", "", ""] if is_old else [*older, estimate(source, "+.2f")])])
-    n = [len(groups()[name]) for name in SOURCE]
     head = "| score | touch | no touch | touch − no touch | p | the list alone: touch | no touch |"
     markdown(f"{head} source − list |", rows)
-    print(f"Runs: {n}")
 
 
 def show_rise() -> None:
