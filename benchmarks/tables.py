@@ -19,7 +19,7 @@ from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import forces, hands, hard_cases, hold_verdict, softness, speed_vs_error
-from benchmarks.studies import gates, layouts_study, study_tables
+from benchmarks.studies import gates, layouts_study, paper_source, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -55,6 +55,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "softness grasps": _of("softness", softness.show_grasps),
     **study_tables.TABLES,
     **layouts_study.TABLES,
+    **paper_source.TABLES,
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
 }

@@ -15,7 +15,7 @@ from tactilerl.study.analysis import scored
 from tactilerl.study.records import Record
 from tactilerl.study.report import p_value
 
-from benchmarks.command import DATA, markdown
+from benchmarks.command import markdown
 from benchmarks.studies.layouts_study import contrast
 from benchmarks.studies.study_tables import estimate, last_test, load, part
 
@@ -72,11 +72,9 @@ def show_rise() -> None:
     value, _ = contrast({("ppo", "mpl"): {"rise": rise}}, {"rise": 1.0})
     last, dead = (np.array([*map(of, runs)]) for of in (partial(part, begin=0.8), last_test))
     row = [len(runs), f"{last.mean():.2f}", estimate(value, "+.3f"), f"{(dead < 0.05).sum()}"]
-    markdown("| runs | success over the last fifth | minus the fifth before | last test below 0.05 |", [row])
+    markdown(
+        "| runs | success over the last fifth | minus the fifth before | last test below 0.05 |", [row]
+    )
 
 
-TABLES = (
-    {"paper source": show, "paper source rise": show_rise}
-    if (DATA / f"{STUDY}.tar.gz").is_file()
-    else {}
-)
+TABLES = {"paper source": show, "paper source rise": show_rise}
