@@ -364,7 +364,7 @@ class BatchLearner:
 
     def _whole(self, obs: dict[str, Tensor]) -> Tensor:
         """Return what is kept of observations, where what a run does not have comes first."""
-        own: Any = obs["observation"].unflatten(0, (len(self.learners), -1))
+        own = obs["observation"].reshape(len(self.learners), -1, self.width)
         own = own.take_along_dim(self.order[:, None], dim=2).flatten(0, 1)
         return torch.cat([own, *(obs[key] for key in self.view[1:])], dim=-1)
 

@@ -160,9 +160,9 @@ def executor(
         try:
             if is_gpu(on):
                 tried = client.run(batch.require_device, on_error="return")
-                for worker, error in tried.items():
-                    if error is not None:
-                        raise InputError(f"--on {on}: worker {worker}: {error}")
+                for worker, found in tried.items():
+                    if found is not None:
+                        raise InputError(f"--on {on}: worker {worker}: {found}")
             yield client.get_executor(pure=False)
         except (concurrent.futures.CancelledError, asyncio.CancelledError) as error:
             raise OSError(
