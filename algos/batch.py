@@ -350,10 +350,9 @@ class BatchLearner:
             mine: Any = on_host[world, : length + 1, self.pads[i] :]
             self.tried(i, finite, mine, OBS)
             self.tried(i, finite, rewards[world, :length], REWARD)
+            # Of tests, observations are not kept: those of all would fill the memory.
             episode = Episode(
-                obs=mine
-                if explores
-                else [],  # those of all tests would fill the memory
+                obs=mine if explores else [],
                 actions=actions[world, :length],  # type: ignore[arg-type]
                 rewards=rewards[world, :length].tolist(),
                 terminated=bool(terminated[world]),

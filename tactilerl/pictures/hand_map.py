@@ -78,11 +78,9 @@ def described(taxels: Taxels, hand: Hand) -> list[str]:
     def side(surface: Surface, column: float) -> str:
         """Tell on which side of a surface a column is."""
         name = "fingers" if surface.digit == "thumb" else "thumb"
-        middle = placed(data, surface.link, surface.centre)
-        across = placed(data, surface.link, surface.centre + surface.across) - middle
         for aim in aims[name]:
-            ahead = (placed(data, aim.link, aim.centre) - middle) @ across
-            return f"{'towards' if column * ahead > 0 else 'away from'} the {name}"
+            is_ahead = column * _beside(data, surface, aim) > 0
+            return f"{'towards' if is_ahead else 'away from'} the {name}"
         return "to the left" if column > 0 else "to the right"  # as on the map
 
     words = []
@@ -98,6 +96,13 @@ def described(taxels: Taxels, hand: Hand) -> list[str]:
             parts.append(f"{abs(column):.3g} mm {side(surface, column)}")
         words.append(", ".join(parts if row or column else [*parts, "in the middle"]))
     return words
+
+
+def _beside(data: Any, surface: Surface, other: Surface) -> float:
+    """Return how far another surface lies in the direction of a surface's columns, m."""
+    middle = placed(data, surface.link, surface.centre)
+    across = placed(data, surface.link, surface.centre + surface.across) - middle
+    return float((placed(data, other.link, other.centre) - middle) @ across)
 
 
 # -- the map ---------------------------------------------------------------------------------
@@ -162,17 +167,9 @@ def _from_the_left(hand: Hand) -> list[str]:
     """Return the digits in the order in which one sees them from the palmar side."""
     digits = sorted(hand.digits, key=lambda digit: (*DIGITS, digit).index(digit))
     bases = {surface.digit: surface for surface in reversed(hand.surfaces)}
-    data, (first, last) = at_start(hand), (bases[digits[0]], bases[digits[-1]])
-    origin, ahead, leftward = (
-        placed(data, link, point)
-        for link, point in (
-            (last.link, last.centre),
-            (first.link, first.centre),
-            (last.link, last.centre + last.across),
-        )
-    )
-    is_left = (ahead - origin) @ (leftward - origin) > 0.0
-    return digits if is_left else digits[::-1]
+    # Columns are counted to the left: `across` is palmar x along.
+    leftward = _beside(at_start(hand), bases[digits[-1]], bases[digits[0]])
+    return digits if leftward > 0.0 else digits[::-1]
 
 
 class Unrolled:
@@ -203,8 +200,7 @@ class Unrolled:
     def point(self, place: Place) -> tuple[float, float]:
         """Return where a taxel lies on the map, mm."""
         panel = self.panels[place.surface]
-        # Columns are counted to the left: `across` is palmar x along.
-        return panel.x - place.column, panel.y + place.row
+        return panel.x - place.column, panel.y + place.row  # columns go to the left
 
 
 class TaxelMap:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import count, product
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -244,10 +244,10 @@ def joined(sets: Sequence[Taxels]) -> tuple[Taxels, list[list[int]]]:
     """
     points, spots = list[Point](), dict[str, Any]()
     for point in (point for taxels in sets for point in taxels.points):
-        spot, names = spot_of(point), (f"{point.name} {n}" for n in count(2))
-        name = point.name
+        spot, name, n = spot_of(point), point.name, 1
         while spots.setdefault(name, spot) != spot:
-            name = next(names)
+            n += 1
+            name = f"{point.name} {n}"
         points.append(point._replace(name=name))
     surfaces = np.concatenate([taxels.surfaces for taxels in sets])
     offsets = np.concatenate([taxels.offsets for taxels in sets])
@@ -472,10 +472,10 @@ class Pool:
             prices=priced(flags, hand, skin, free),
             overlap=overlap(hand, skin.take(own)) if first.taxel_radius else None,
         )
-        most = pool.sizes()[-1][0]
-        if flags.budget is None and most > free.sum():
+        pool.sizes()  # raises where none can be had
+        if pool.needed > free.sum():
             allowed = f"up to the {free.sum()} that may be chosen"
-            raise ValueError(f"taxels: found {most}, allowed {allowed}")
+            raise ValueError(f"taxels: found {pool.needed}, allowed {allowed}")
         return pool
 
     @property
@@ -487,6 +487,11 @@ class Pool:
     def waits(self) -> tuple[float, ...]:
         """Ways to wait: shares by which the hand is closed."""
         return self.flags.start_closing or (self.first.start_closing,)
+
+    @property
+    def needed(self) -> int:
+        """Number of taxels that must be chosen: within a budget, the least that is asked for."""
+        return self.flags.numbers[-1 if self.flags.budget is None else 0]
 
     @property
     def to_survive(self) -> Array:

@@ -339,11 +339,9 @@ def _picks(choice: ByWait, pool: Pool) -> list[Pick]:
         price = pool.prices.of(placed) if pool.prices else None
         key = len(placed) if pool.flags.budget is None or price is None else price
         picks.append(Pick(key, len(placed), boards, price, taxels, score, success))
-    numbers, most = pool.flags.numbers, max(pick.n for pick in picks)
-    least = numbers[-1] if pool.flags.budget is None else numbers[0]
-    if most < least:
+    if (most := max(pick.n for pick in picks)) < pool.needed:
         raise ValueError(
-            f"taxels: found {least}, allowed up to {most}; no room was found for more"
+            f"taxels: found {pool.needed}, allowed up to {most}; no room was found for more"
         )
     if pool.flags.budget is None:
         return picks

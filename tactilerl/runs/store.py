@@ -128,11 +128,12 @@ class RunDir:
         self.experience_folder = path / "experience"
         self.layout_file = path / LAYOUT_COPY
 
-    def settled(self, config: RunConfig) -> RunConfig:
+    def settled(self, config: RunConfig, may_be_shorter: bool = True) -> RunConfig:
         """Return the configuration of a run here; InputError where another run is here already.
 
-        That is one of other values, or whose own files of layout and hand said something
-        else, or a finished one whose last test was another.
+        That is a run of other values, one whose files of layout or hand said something
+        else, a finished one with another last test, or, unless this one
+        `may_be_shorter`, one that was begun with more steps.
         """
         if not os.path.exists(self.config_file):  # False for any name
             return config
@@ -141,6 +142,11 @@ class RunDir:
             raise InputError(
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
                 "makes another run)"
+            )
+        was, now = saved.run.total_timesteps, config.run.total_timesteps
+        if now < was and not may_be_shorter:
+            raise InputError(
+                f"total_timesteps: found {now:,}, allowed from {was:,}: a run was begun with so many"
             )
         if config.folder != self.path:  # resumed by its folder, its own copies count
             self._require_same_files(config)

@@ -196,10 +196,10 @@ def _study(data: dict[str, Any]) -> Study:
     ):
         raise ValueError("score: found test, but n_test_episodes is 0")
     for name, times in Counter(run.name for run in study.runs()).items():
-        if len(name.encode()) > LONGEST_NAME:
+        if (n := len(name.encode())) > LONGEST_NAME:
             raise ValueError(
-                f"grid: found {len(name)} letters in a run's name, {name[:60]!r}...; shorter paths of "
-                "files make it shorter"
+                f"grid: found a name of {n} bytes for a run, allowed {LONGEST_NAME}: {name[:60]!r}...; "
+                "give its files shorter paths"
             )
         if times > 1:
             raise ValueError(

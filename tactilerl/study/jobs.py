@@ -35,7 +35,6 @@ from ..errors import (
 )
 from ..machine import allow_open_files, free_cores
 from ..runs.config import RunConfig
-from ..runs.store import RunDir
 from ..runs.training import make_algorithm
 from . import batch
 from .grid import Run
@@ -88,8 +87,7 @@ def check(files: StudyFiles, runs: Iterable[Run]) -> None:
         try:
             config, run_dir = run.config(), files.run_dir(run)
             if run_dir.config_file.exists():
-                run_dir.settled(config)
-                _require_length(run_dir, config)
+                run_dir.settled(config, may_be_shorter=False)
             elif run.place not in tried:
                 tried.add(run.place)
                 _try(run, config)
@@ -104,15 +102,6 @@ def _try(run: Run, config: RunConfig) -> None:
         learner.check()
     if run.measure.startswith("test_") and not learner.n_tests:
         raise InputError(f"measure: found {run.measure}, but the run has no tests")
-
-
-def _require_length(run_dir: RunDir, config: RunConfig) -> None:
-    """Raise InputError where a run was made for more steps than it should have now."""
-    now, was = (one.run.total_timesteps for one in (config, run_dir.read_config()))
-    if now < was:
-        raise InputError(
-            f"total_timesteps: found {now:,}, allowed from {was:,}: a run was begun with so many"
-        )
 
 
 def is_gpu(on: str) -> bool:

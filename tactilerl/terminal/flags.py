@@ -85,6 +85,6 @@ def peek(args: Sequence[str], *names: str) -> dict[str, str]:
         raise InputError(f"{error.argument_name}: {error.message}") from None
     if empty := [name for name, value in given.items() if value == ""]:
         raise InputError(
-            f"{empty[0]}: found an empty one; leave out --{empty[0]} instead"
+            f"{empty[0]}: found an empty value; give one, or leave out --{empty[0]}"
         )
     return {name: value or "" for name, value in given.items()}

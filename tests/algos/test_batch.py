@@ -232,8 +232,10 @@ def test_a_run_that_fails_leaves_the_others_as_they_are(algo, config, what):
 def test_tests_are_as_many_as_asked_for(monkeypatch):
     monkeypatch.setattr(batch.rollout, "MAX_FAILURES", 2)
     learner = single("ppo", PPO_CONFIG, 5, 0)
-    many = batch.BatchPPO([learner], PointBatch((0,), 2))
-    assert many.play_best({0: learner.key(2)}, 7)[0]["episodes"] == 7
+    env, test_env = PointBatch((0,), 2), PointBatch((0,), 3)
+    for many in (batch.BatchPPO([learner], test_env), batch.BatchPPO([learner], env, test_env)):
+        env.reset = None  # tests have worlds of their own
+        assert many.play_best({0: learner.key(2)}, 7)[0]["episodes"] == 7
 
 
 @pytest.mark.parametrize(("algo", "config"), [("ppo", PPO_CONFIG), ("ddpg_her", HER_CONFIG)])

@@ -173,7 +173,11 @@ class TestResume:
     @pytest.mark.parametrize("flag", ["resume", "out", "scene"])
     def test_an_empty_name_starts_no_other_run(self, flag, capsys):
         """As of a variable of the shell that is not set."""
-        fails_with(capsys, [*TOY, f"--{flag}", ""], f"{flag}: found an empty one")
+        fails_with(
+            capsys,
+            [*TOY, f"--{flag}", ""],
+            f"{flag}: found an empty value; give one, or leave out --{flag}",
+        )
         assert not list(Path().iterdir())
 
     def test_a_recipe_is_where_the_other_flags_start(self, capsys):

@@ -137,6 +137,20 @@ class TestPrices:
             bought = [(pick.price, pick.success) for pick in picks]
             assert bought == sorted(set(bought))
 
+    def test_of_two_ways_to_wait_that_with_room_for_all(self):
+        """In the other, a search stops at a place that fires more often, where no second one fits."""
+        share = np.array([[0.9] * 4 + [0.1, 0.2, 0, 0], [0] * 4 + [0.3, 0.5, 0, 0]])
+        first = np.arange(20)[:, None] < 20 * share[:, None]
+        waits = {wait: starts_of(np.where(fires, 5, NEVER)) for wait, fires in enumerate(first)}
+        overlap = np.zeros((8, 8), bool)
+        overlap[:4] = overlap[:, :4] = True
+        flags = DesignFlags(taxels="2")
+        pool = dataclasses.replace(a_pool(), overlap=overlap, flags=flags)
+        (pick,) = choice._picks(waits, pool)
+        assert pick.taxels == [4, 5]
+        with pytest.raises(ValueError, match="taxels: found 2, allowed up to 1; no room was found"):
+            choice._picks({0: waits[0]}, pool)
+
     def test_the_knee(self):
         assert choice.knee([0, 10, 20, 30, 40], [0.1, 0.3, 0.8, 0.85, 0.9]) == 2
         assert choice.knee([0, 10, 20], [0.5, 0.4, 0.3]) == 0
@@ -415,6 +429,8 @@ class TestCommand:
             (["--budget", "13", "--sensor", "fsr"], "budget: found 13, allowed 13.9 or more, the"),
             (["--boards", "digit"], "boards: found digit, allowed with a --sensor that has a [cost]"),
             (["--boards", "two.toml", "--sensor", "fsr"], "in 0 of the groups of two.toml"),
+            (["--skin", "zhang", "--taxels", "99..100", "--budget", "9999", "--sensor", "fsr"],
+             "taxels: found 99, allowed up to the"),
             (["--skin", "5", "--keep", "5"], "skin: found no place that may still be chosen"),
         ],
     )  # fmt: skip

@@ -71,7 +71,7 @@ class TestBadFiles:
             ('"0-1, 7"', '"0-1, x"', ["seed: found ' x', expected numbers and ranges"]),
             ('"0-1, 7"', '"0-4000000000"', ["seed: found '0-4000000000', allowed 100,000 seeds"]),
             ('"0-1, 7"', '"0-99999999999999999999999"', ["seed: found", "allowed 100,000 seeds"]),
-            (SIZES, f'layout = ["{300 * "x"}"]', ["grid: found", "letters in a run's name"]),
+            (SIZES, f'layout = ["{300 * "x"}"]', ["grid: found a name of 3", "allowed 245: 'reach_"]),
             (GOOD, 'name = "toy"\n[setups]', ["setups: found none, allowed one or more"]),
             ('algo = "ddpg_her"', 'scen = "handover"', ["scen: unknown; did you mean scene?"]),
             ("polyak = [0.95, 0.9]", "polyak = [0.95, 0.8]", ["compare: polyak", "0.8"]),
