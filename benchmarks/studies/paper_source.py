@@ -48,12 +48,17 @@ def cells(score: str) -> dict[str, Array]:
     return {name: np.array([*map(of_run, runs)]) for name, runs in groups().items()}
 
 
+def spread(values: Array) -> str:
+    """Return the mean of runs, and the lowest and the highest of them."""
+    return f"{values.mean():.2f} ({values.min():.2f} to {values.max():.2f})"
+
+
 def show() -> None:
     """Print what touch adds, and what the two values do."""
     rows = []
     for score in SCORES:
         of = cells(score)
-        levels = [f"{of[name].mean():.2f}" for name in TOUCH]
+        levels = [spread(of[name]) for name in TOUCH]
         (touch, p), (source, _) = (
             contrast({("ppo", "mpl"): of}, weights) for weights in (TOUCH, SOURCE)
         )
@@ -61,20 +66,24 @@ def show() -> None:
         levels += [estimate(touch, "+.2f"), p_value(p)]
         older = [f"{of[name].mean():.2f}" for name in SOURCE if name not in TOUCH]
         rows.append([score, *levels, *(["", "", ""] if is_old else [*older, estimate(source, "+.2f")])])
-    head = "| score | touch | no touch | touch − no touch | p | the list alone: touch | no touch |"
+    head = "| score | touch (lowest to highest run) | no touch | touch − no touch | p |"
+    head += " the list alone: touch | no touch |"
     markdown(f"{head} source − list |", rows)
 
 
 def show_rise() -> None:
-    """Print whether success still rises in the last fifth."""
-    runs = [run for name in TOUCH for run in groups()[name]]
-    rise = np.array([part(run, 0.8) - part(run, 0.6, 0.8) for run in runs])
-    value, _ = contrast({("ppo", "mpl"): {"rise": rise}}, {"rise": 1.0})
-    last, dead = (np.array([*map(of, runs)]) for of in (partial(part, begin=0.8), last_test))
-    row = [len(runs), f"{last.mean():.2f}", estimate(value, "+.3f"), f"{(dead < 0.05).sum()}"]
-    markdown(
-        "| runs | success over the last fifth | minus the fifth before | last test below 0.05 |", [row]
-    )
+    """Print how far updates move the policy, and whether success still rises, in the last fifth."""
+    rows = []
+    for prefix, title in (("", "both values"), ("list: ", "the list alone")):
+        runs = [run for name in TOUCH for run in groups()[prefix + name]]
+        last, before, kl = (
+            np.array([part(run, *window) for run in runs])
+            for window in ((0.8,), (0.6, 0.8), (0.8, 1.0, "kl"))
+        )
+        rise, _ = contrast({("ppo", "mpl"): {"rise": last - before}}, {"rise": 1.0})
+        rows.append([title, len(runs), f"{np.median(kl):.3f}", spread(last), estimate(rise, "+.3f")])
+    head = "| | runs | KL divergence of an update (median) | success (lowest to highest run) |"
+    markdown(f"{head} − the fifth before |", rows)
 
 
 TABLES = {"paper source": show, "paper source rise": show_rise}
